@@ -17,13 +17,13 @@ from tensormass.v1 import scene_pb2, stream_pb2
 
 SECONDS, POSES_PER_S = 3.0, 250
 TRAVEL_M = 0.04  # down along z; from the demo's start to 10 mm into its liver
-CLIENT_ID = secrets.randbits(63) | 1
+CLIENT_ID, SESSION = secrets.randbits(63) | 1, secrets.randbits(64) | 1  # the session is a secret: it claims the tool
 VALID_FOR_S = 0.5  # a pose then expires: if this program dies, the server lets the tool go
 
 
 def pose(sequence: int, position_m: scene_pb2.Vector3) -> bytes:
     sent = stream_pb2.ToolPose(sequence=sequence, client_id=CLIENT_ID, position_m=position_m, valid_for_s=VALID_FOR_S)
-    sent.client_time_ns = time.monotonic_ns()
+    sent.client_time_ns, sent.session = time.monotonic_ns(), SESSION
     return sent.SerializeToString()
 
 

@@ -51,6 +51,7 @@ void encode_pose(const OutgoingPose& pose, std::string& out) {
   v1::ToolPose message;
   message.set_sequence(pose.sequence);
   message.set_client_id(pose.client_id);
+  message.set_session(pose.session);
   message.set_client_time_ns(static_cast<std::uint64_t>(pose.client_time_ns));
   to_proto(pose.pose.position_m, *message.mutable_position_m());
   v1::Quaternion& q = *message.mutable_orientation();
@@ -73,6 +74,7 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
   feedback.step = message.step();
   feedback.pose_sequence = message.pose_sequence();
   feedback.client_id = message.client_id();
+  feedback.claimed = message.claimed();
   feedback.client_time_ns = static_cast<std::int64_t>(message.client_time_ns());
   feedback.arrival_ns = arrival_ns;
   // A tool that has a mass or gives way lags behind the hand, and the model belongs to the hand's place.

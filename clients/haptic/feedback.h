@@ -29,6 +29,8 @@ struct OutgoingPose {
   std::uint64_t client_id = 0;
   std::int64_t client_time_ns = 0;
   DevicePose pose;
+  /// Not echoed: nobody else may learn it. Its poses claim the tool.
+  std::uint64_t session = 0;
 };
 
 /// A checked ToolFeedback: every value is finite and the stiffness is symmetric positive semi-definite.
@@ -38,6 +40,8 @@ struct Feedback {
   std::uint64_t pose_sequence = 0;
   std::uint64_t client_id = 0;
   std::int64_t client_time_ns = 0;
+  /// That client claims the tool, and the server refuses the poses of others.
+  bool claimed = false;
   /// Time of arrival on this client's clock.
   std::int64_t arrival_ns = 0;
   /// Local model: force(p) = force_n − stiffness_n_per_m (p − position_m).

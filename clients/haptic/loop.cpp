@@ -13,9 +13,9 @@ namespace {
 
 constexpr std::int64_t kDrainPollNs = 1'000'000;
 
-std::uint64_t random_client_id() {
+/// Returns an id of a client or a session; both are from 1.
+std::uint64_t random_id() {
   std::random_device random;
-  // From 1: zero means "no pose yet".
   return std::uniform_int_distribution<std::uint64_t>(1)(random);
 }
 
@@ -38,7 +38,8 @@ LoopOptions within(const DeviceInfo& info, LoopOptions options) {
   bind(options.torque.max_damping_n_m_s, stated(info.max_angular_damping_n_m_s));
   bind(options.jaws.max_torque_n_m, stated(info.max_jaw_torque_n_m));
   bind(options.jaws.max_damping_n_m_s, stated(info.max_jaw_damping_n_m_s));
-  if (options.client_id == 0) options.client_id = random_client_id();
+  if (options.client_id == 0) options.client_id = random_id();
+  if (options.session == 0) options.session = random_id();
   return options;
 }
 
@@ -99,7 +100,7 @@ Result<void> Loop::tick() {
   const std::int64_t now_ns = clock_.now_ns();
   const std::uint64_t sequence = latency_.last_sent() + 1;
   latency_.sent(sequence, now_ns);
-  if (!link_.send({sequence, options_.client_id, now_ns, *pose})) ++report_.poses_not_taken;
+  if (!link_.send({sequence, options_.client_id, now_ns, *pose, options_.session})) ++report_.poses_not_taken;
 
   receive();
 
@@ -162,6 +163,9 @@ void Loop::receive() {
                    latency_.echoed(feedback->pose_sequence, feedback->arrival_ns);
   if (!own) {
     ++report_.feedback_foreign;
+    if (!feedback->claimed || feedback->client_id == options_.client_id) return;
+    ++report_.feedback_claimed;
+    if (options_.claimed_by != nullptr) options_.claimed_by->store(feedback->client_id, std::memory_order_relaxed);
     return;
   }
   if (report_.feedback_received > 0 && feedback->step > last_step_ + 1) {

@@ -60,6 +60,9 @@ struct LoopOptions {
   double drain_s = 1.0;
   /// Tells this client's poses from others. 0: chosen at random for each loop.
   std::uint64_t client_id = 0;
+  /// Known to this client and the server alone, so that no other client can use up its sequences or move the tool. 0:
+  /// chosen at random for each loop.
+  std::uint64_t session = 0;
   ForceRendererOptions renderer;
   ForceLimits limits;
   PassivityOptions passivity;
@@ -69,6 +72,8 @@ struct LoopOptions {
   /// Counts recoveries while the loop runs, for another thread that tells people; null: nobody asks. Must outlive the
   /// loop, which itself never writes to a terminal, because that may block.
   std::atomic<std::uint64_t>* recoveries = nullptr;
+  /// Gets the id of another client that claims the tool, in the same way.
+  std::atomic<std::uint64_t>* claimed_by = nullptr;
 };
 
 struct LoopReport {
@@ -89,6 +94,8 @@ struct LoopReport {
   std::uint64_t feedback_dropped = 0;
   /// Answers to another client's poses or to no pose. They are not rendered.
   std::uint64_t feedback_foreign = 0;
+  /// Those of them in which the other client claims the tool, so that the server refuses this client's poses.
+  std::uint64_t feedback_claimed = 0;
   /// Messages that could not be decoded.
   std::uint64_t feedback_malformed = 0;
   /// Ticks after the first feedback whose local model had expired, and how often such a period started.

@@ -17,6 +17,7 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <spdlog/fmt/fmt.h>
@@ -99,11 +100,11 @@ class SignalFlag {
   std::jthread thread_;
 };
 
-/// Prints a line after a recovery began, at most one a second, on its own thread. The loop must not wait for a
-/// terminal.
-class RecoveryNotices {
+/// Prints a line after a recovery began, at most one a second, and one for each client that claims the tool before this
+/// one, on its own thread. The loop must not wait for a terminal.
+class Notices {
  public:
-  RecoveryNotices()
+  Notices()
       : thread_([this](const std::stop_token& stop) {
           std::mutex mutex;
           std::condition_variable_any wake;
@@ -111,6 +112,10 @@ class RecoveryNotices {
           while (!stop.stop_requested()) {
             // A line follows the first recovery at once, and a later one at the end of its second.
             wake.wait_for(lock, stop, kPoll, [] { return false; });
+            const std::uint64_t client = claimed_by_.load(std::memory_order_relaxed);
+            if (std::exchange(told_, client) != client) {
+              std::cerr << "tensormass-haptic: " << claimed_line(client) << std::endl;
+            }
             const std::uint64_t count = count_.exchange(0);
             if (count == 0) continue;
             std::cerr << "tensormass-haptic: " << recovery_line(count) << std::endl;
@@ -119,11 +124,15 @@ class RecoveryNotices {
         }) {}
   /// For LoopOptions::recoveries.
   std::atomic<std::uint64_t>& count() { return count_; }
+  /// For LoopOptions::claimed_by.
+  std::atomic<std::uint64_t>& claimed_by() { return claimed_by_; }
 
  private:
   static constexpr std::chrono::milliseconds kPoll{50};
 
   std::atomic<std::uint64_t> count_ = 0;
+  std::atomic<std::uint64_t> claimed_by_ = 0;
+  std::uint64_t told_ = 0;  // its thread's own
   std::jthread thread_;
 };
 
@@ -377,8 +386,9 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   const Result<std::unique_ptr<Device>> device = make_device(options, *tool, patience, clock);
   if (!device) return tl::make_unexpected(device.error());
   // Before the priority rises, which its thread would inherit.
-  RecoveryNotices notices;
+  Notices notices;
   options.loop.recoveries = &notices.count();
+  options.loop.claimed_by = &notices.claimed_by();
   // Before the link starts its threads, which inherit the priority. Feedback that waits for a core is as good as lost.
   if (const auto realtime = request_realtime(kLinkPriority); !realtime) {
     std::cerr << "tensormass-haptic: " << realtime.error().message << '\n';

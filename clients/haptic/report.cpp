@@ -118,6 +118,7 @@ std::string to_json(const LoopReport& report, const RunLabel& label) {
       .add("feedback_received", report.feedback_received)
       .add("feedback_dropped", report.feedback_dropped)
       .add("feedback_foreign", report.feedback_foreign)
+      .add("feedback_claimed", report.feedback_claimed)
       .add("feedback_malformed", report.feedback_malformed)
       .add("stale_ticks", report.stale_ticks)
       .add("stale_episodes", report.stale_episodes)
@@ -146,7 +147,19 @@ std::string recovery_line(std::uint64_t count) {
       count == 1 ? "" : fmt::format(" ({} times since the last such line)", count));
 }
 
+std::string claimed_line(std::uint64_t client_id) {
+  return fmt::format(
+      "another client ({:#x}) claims the tool, and the server refuses the poses of this one; end that client, or take "
+      "the tool over with MoveTool",
+      client_id);
+}
+
 std::string why_unanswered(const v1::SceneStatus& status, std::uint64_t poses_rejected_before) {
+  for (const v1::ToolFeedback& tool : status.tools()) {
+    if (tool.claimed() && status.poses_rejected() > poses_rejected_before) {
+      return fmt::format("tool '{}': {}", tool.tool(), claimed_line(tool.client_id()));
+    }
+  }
   if (status.poses_rejected() > poses_rejected_before) {
     return fmt::format("the server refused poses of the scene meanwhile ({}); its log says why",
                        status.poses_rejected() - poses_rejected_before);

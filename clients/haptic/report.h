@@ -30,6 +30,9 @@ std::string to_json(const LoopReport& report, const RunLabel& label);
 /// Tells people, in one line without its end, that the scene has recovered `count` times since the last such line.
 std::string recovery_line(std::uint64_t count);
 
+/// The line for a tool that another client claims.
+std::string claimed_line(std::uint64_t client_id);
+
 /// Explains to people why no pose of a run was answered, from the scene's `status` after the run.
 /// `poses_rejected_before` is status.poses_rejected() before the run.
 std::string why_unanswered(const v1::SceneStatus& status, std::uint64_t poses_rejected_before);

@@ -179,7 +179,7 @@ grpc::Status ControlService::GetStatus(grpc::ServerContext*, const v1::GetStatus
 
 grpc::Status ControlService::MoveTool(grpc::ServerContext*, const v1::MoveToolRequest* request, v1::MoveToolResponse*) {
   const auto moved = registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
-    return runner->submit_pose(request->tool(), request->pose());
+    return runner->submit_pose(request->tool(), request->pose(), world::PoseSource::kOperator);
   });
   return moved ? grpc::Status::OK : to_status(moved.error());
 }

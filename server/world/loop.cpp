@@ -3,6 +3,7 @@
 #include <sys/prctl.h>
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "core/names.h"
@@ -12,6 +13,13 @@ namespace tensormass::world {
 namespace {
 /// Diagnostics of a running scene, a second of simulated time.
 constexpr double kDiagnosticsRateHz = 4;
+
+/// Returns when a pose expires by real time.
+Clock::time_point expiry_of(const ReceivedPose& pose) {
+  if (!std::isfinite(pose.valid_for_s)) return Clock::time_point::max();
+  return pose.stamp.arrived +
+         std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(pose.valid_for_s));
+}
 }  // namespace
 
 Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start)
@@ -21,7 +29,8 @@ Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start
       budget_(model_),
       outputs_(*world_, start.frames_published),
       status_(model_, std::move(backend), budget_, inboxes_, outputs_, start.statistics),
-      clock_(model_.rate_hz) {
+      clock_(model_.rate_hz),
+      expiry_(model_.tools.size(), Clock::time_point::max()) {
   status_.take_stamp(outputs_.stamp());
   if (start.paused) {
     status_.set_state(v1::SceneStatus::STATE_PAUSED);
@@ -42,9 +51,9 @@ Loop::~Loop() {
   TM_ASSERT(commands_.empty(), "nobody waits for a loop that ends");
 }
 
-Result<void> Loop::submit_pose(std::size_t tool, const v1::ToolPose& pose) {
+Result<void> Loop::submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source) {
   TM_ASSERT(tool < inboxes_.size(), "a pose is for a tool of the scene");
-  return inboxes_[tool].submit(model_.tools[tool], pose);
+  return inboxes_[tool].submit(model_.tools[tool], pose, source);
 }
 
 void Loop::enqueue(std::function<void()> command) {
@@ -117,13 +126,28 @@ void Loop::take_poses() {
     ReceivedPose received = *newest;
     if (!received.has_joints) received.pose.joint_values = world_->tool_target(i).joint_values;
     world_->set_tool_target(i, received.pose, received.stamp, received.valid_for_s);
+    expiry_[i] = expiry_of(received);
     if (recording_) recording_->take_pose(i, received);
+  }
+}
+
+/// Retires tools whose newest pose has expired by real time. A scene that is slower than that would hold a dead
+/// client's tool in the tissue for as much longer. The world's own clock is that of the simulation, so a replay needs
+/// to know.
+void Loop::expire_poses(Clock::time_point now) {
+  for (std::size_t i = 0; i < expiry_.size(); ++i) {
+    if (now < expiry_[i]) continue;
+    expiry_[i] = Clock::time_point::max();
+    const ReceivedPose expired{world_->tool_target(i), true, world_->readings()[i].newest, kExpired};
+    world_->set_tool_target(i, expired.pose, expired.stamp, expired.valid_for_s);
+    if (recording_) recording_->take_pose(i, expired);
   }
 }
 
 /// Makes one step with the newest poses. Returns false if the scene stopped: state() is STATE_FAULTED then.
 bool Loop::step_once(bool with_frame, Diagnostics diagnostics) {
   take_poses();
+  if (runs()) expire_poses(Clock::now());
   return make_step(with_frame, diagnostics);
 }
 
@@ -273,6 +297,7 @@ void Loop::go_on_from_new_state() {
     set_state(model_.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING);
   }
   for (PoseInbox& inbox : inboxes_) inbox.take();  // drops poses that were sent before
+  std::fill(expiry_.begin(), expiry_.end(), Clock::time_point::max());
   outputs_.take_step(Clock::now());
   status_.take_stamp(outputs_.stamp());
   outputs_.publish(true);

@@ -11,6 +11,7 @@
 #include <optional>
 #include <string_view>
 #include <thread>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -76,11 +77,10 @@ class Loop {
   /// runs, the scene stops and `call` returns kUnavailable.
   template <class Command>
   auto call(Command command) -> decltype(command());
-
   const model::Model& model() const { return model_; }
   const LoopStatus& status() const { return status_; }
   Result<const model::BodyModel*> find_body(std::string_view name) const;
-  Result<void> submit_pose(std::size_t tool, const v1::ToolPose& pose);
+  Result<void> submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source);
   void count_malformed_pose() { status_.count_malformed_pose(); }
   /// Ends a `do_step` in progress after the step at hand.
   void cancel() { cancelled_.store(true, std::memory_order_relaxed); }
@@ -141,6 +141,7 @@ class Loop {
   bool step_once(bool with_frame, Diagnostics diagnostics = Diagnostics::kIfDue);
   bool make_step(bool with_frame, Diagnostics diagnostics);
   void take_poses();
+  void expire_poses(Clock::time_point now);
   void record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected);
   void go_on_from_new_state();
   bool lockstep_frame_due(Clock::time_point now, bool last);
@@ -172,7 +173,8 @@ class Loop {
 
   // The loop's own.
   StepClock clock_;
-  double frame_phase_ = 0;  // frames that are due, less than one after each step
+  std::vector<Clock::time_point> expiry_;  // [tool]: when its newest pose expires by real time; max: it does not
+  double frame_phase_ = 0;                 // frames that are due, less than one after each step
   Clock::time_point last_lockstep_frame_{};
   std::uint64_t next_diagnostics_ = 0;  // step
   bool device_failed_ = false;

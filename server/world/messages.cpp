@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 
@@ -41,6 +42,16 @@ std::uint64_t unix_time_ns() {
   return static_cast<std::uint64_t>(
       std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch())
           .count());
+}
+
+std::uint64_t new_topology_version() {
+  static std::atomic<std::uint64_t> last{0};
+  std::uint64_t before = last.load();
+  std::uint64_t next = 0;
+  do {
+    next = std::max(unix_time_ns(), before + 1);
+  } while (!last.compare_exchange_weak(before, next));
+  return next;
 }
 
 v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
@@ -101,6 +112,7 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
   out.mutable_orientation()->set_y(q[2]);
   out.mutable_orientation()->set_z(q[3]);
   out.set_retired(reading.retired);
+  out.set_claimed(reading.newest.claims && !reading.retired);
   out.set_touching(reading.touching);
   out.set_gives_way(reading.gives_way);
   out.set_recovering(reading.recovering);

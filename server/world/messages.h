@@ -36,6 +36,9 @@ struct FeedbackSlot {
 
 std::uint64_t unix_time_ns();
 
+/// Returns a number larger than all before, from the clock unless that was set back. Any thread may call it.
+std::uint64_t new_topology_version();
+
 v1::Topology make_topology(const model::Model& model, std::uint64_t version);
 
 /// positions: [visible_count, 3] m

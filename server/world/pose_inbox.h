@@ -9,6 +9,7 @@
 #include "core/result.h"
 #include "tensormass/v1/stream.pb.h"
 #include "world/latest.h"
+#include "world/pose_source.h"
 #include "world/tool.h"
 
 namespace tensormass::world {
@@ -21,13 +22,25 @@ namespace tensormass::world {
 /// says, so a pose that the loop did not take before the next one arrived is dropped and counted as superseded.
 ///
 /// Messages of one client may overtake each other on the way. Each client therefore numbers its poses from 1, and the
-/// inbox refuses a pose that is not newer than the client's last.
+/// inbox refuses a pose that is not newer than the client's last. Everybody can read a client's id in the feedback. So
+/// a client that must not be locked out has a session: a number that only it knows, whose sequences are its own.
+///
+/// A session claims the tool by a pose that says how long it is valid, if no other session claims it:
+///
+///     nobody's ── pose of session S, valid for t ──> claimed by S until t after its last pose, by real time
+///        ^   ^                                           │  poses of others are refused, and told whose it is
+///        │   └──── S sends a pose without t: hands over ─┤
+///        └──────── t has passed ─────────────────────────┤
+///                                                        └─ the operator's pose ──> nobody's or the operator's, and
+///                                                           S is refused until it has sent nothing for t
 class PoseInbox {
  public:
   /// Keeps a pose for the loop. Refuses one that is not finite, whose orientation is not a rotation, whose joint
   /// values are neither absent nor one for each joint, whose valid_for_s is out of range, or that is not newer than the
-  /// same client's last. A pose with neither client nor sequence comes from a script and is always newer.
-  Result<void> submit(const model::ToolModel& tool, const v1::ToolPose& message);
+  /// same client's last. A pose with neither client nor sequence comes from a script and is always newer. A client's
+  /// pose is also refused if another session claims the tool. now: when the pose arrived.
+  Result<void> submit(const model::ToolModel& tool, const v1::ToolPose& message,
+                      PoseSource source = PoseSource::kClient, Clock::time_point now = Clock::now());
   /// For the loop: the newest pose since the last call, else nullptr. Valid until the next call.
   const ReceivedPose* take() { return newest_.take(); }
 
@@ -37,18 +50,34 @@ class PoseInbox {
 
  private:
   struct Client {
-    std::uint64_t id = 0;
+    std::uint64_t id = 0;  // its session, or the client's id if it has none
+    bool has_session = false;
     std::uint64_t last_sequence = 0;  // 0: this entry is free
+  };
+  struct Claim {
+    std::uint64_t session = 0;  // 0: nobody's
+    std::uint64_t client_id = 0;
+    Clock::time_point until{};
+
+    bool is_of(const v1::ToolPose& message) const { return session != 0 && session == message.session(); }
+    bool holds(Clock::time_point now) const { return session != 0 && now < until; }
   };
   /// Says whether a pose is newer than its client's last, and remembers its sequence if so. Needs the lock.
   bool is_newer(const v1::ToolPose& message);
+  /// Refuses a client's pose if the tool is another's, or was taken from it. expiry: of the pose. Needs the lock.
+  Result<void> may_move(const v1::ToolPose& message, std::string_view where, Clock::time_point now,
+                        Clock::time_point expiry);
+  /// Says whether the pose claims the tool, and remembers that. Needs the lock.
+  bool claim(const v1::ToolPose& message, PoseSource source, Clock::time_point now, Clock::time_point expiry);
 
-  /// Number of clients whose sequence is remembered. A further client takes the place of the one that came first.
+  /// Number of sessions and clients whose sequence is remembered. A further one takes the place of the first.
   static constexpr std::size_t kClients = 8;
 
-  std::mutex writers_;  // guards clients_, next_client_ and the writer's side of newest_
+  std::mutex writers_;  // guards clients_, next_client_, claim_, taken_ and the writer's side of newest_
   std::array<Client, kClients> clients_{};
   std::size_t next_client_ = 0;
+  Claim claim_;
+  Claim taken_;  // the claim that the operator ended; renewed by each pose that it sends all the same
   Latest<ReceivedPose> newest_;
   std::atomic<std::uint64_t> received_{0}, rejected_{0}, superseded_{0};
 };

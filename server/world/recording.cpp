@@ -164,7 +164,11 @@ void write_pose(const std::string& tool, const ReceivedPose& received, std::size
   out.mutable_orientation()->set_y(pose.orientation[2]);
   out.mutable_orientation()->set_z(pose.orientation[3]);
   for (std::size_t i = 0; i < joints; ++i) out.add_joint_values(pose.joint_values[i]);
-  if (std::isfinite(received.valid_for_s)) out.set_valid_for_s(received.valid_for_s);
+  if (received.valid_for_s == kExpired) {
+    out.set_expired(true);
+  } else if (std::isfinite(received.valid_for_s)) {
+    out.set_valid_for_s(received.valid_for_s);
+  }
   out.set_sequence(received.stamp.sequence);
   out.set_client_time_ns(received.stamp.client_time_ns);
   out.set_client_id(received.stamp.client_id);
@@ -182,8 +186,14 @@ Result<ReceivedPose> read_pose(const v1::RecordedPose& message, const model::Too
                       model::read_joints(message.joint_values(), tool.joints, fmt::format("{}.joint_values", where)));
   ReceivedPose out;
   out.pose = {position, {q.w(), q.x(), q.y(), q.z()}, joints};
-  out.stamp = {message.sequence(), message.client_time_ns(), message.client_id(), {}};
-  if (message.has_valid_for_s()) {
+  out.stamp = {
+      .sequence = message.sequence(), .client_time_ns = message.client_time_ns(), .client_id = message.client_id()};
+  if (message.expired()) {
+    if (message.has_valid_for_s()) {
+      return invalid(fmt::format("{}: has expired and valid_for_s; a pose that expired has none", where));
+    }
+    out.valid_for_s = kExpired;
+  } else if (message.has_valid_for_s()) {
     TM_ASSIGN_OR_RETURN(valid_for_s,
                         model::read_number(message.valid_for_s(), limits::kMinPoseValidForS, limits::kMaxPoseValidForS,
                                            fmt::format("{}.valid_for_s", where)));

@@ -33,7 +33,7 @@ struct Runner::Impl {
       : report(std::move(compiled.report)),
         backend{compiled.backend->name(), compiled.backend->device(), {}},
         source(std::move(from)),
-        topology(make_topology(world->model(), unix_time_ns())),
+        topology(make_topology(world->model(), new_topology_version())),
         scene_hash(compiled.scene_hash) {
     for (std::size_t i = 0; i < world->model().tools.size(); ++i) tool_index.emplace(world->model().tools[i].name, i);
     if (source) adjustments = adjustments_of(source->scene);
@@ -242,13 +242,13 @@ Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted) {
   return {};
 }
 
-Result<void> Runner::submit_pose(std::string_view tool, const v1::ToolPose& pose) {
+Result<void> Runner::submit_pose(std::string_view tool, const v1::ToolPose& pose, PoseSource source) {
   const auto index = impl_->find_tool(tool);
   if (!index) {
     count_malformed_pose();
     return tl::make_unexpected(index.error());
   }
-  return impl_->loop()->submit_pose(*index, pose);
+  return impl_->loop()->submit_pose(*index, pose, source);
 }
 void Runner::count_malformed_pose() { impl_->loop()->count_malformed_pose(); }
 

@@ -12,6 +12,7 @@
 #include "tensormass/v1/control.pb.h"
 #include "tensormass/v1/scene.pb.h"
 #include "tensormass/v1/stream.pb.h"
+#include "world/pose_source.h"
 #include "world/recording.h"
 
 namespace tensormass::world {
@@ -88,9 +89,9 @@ class Runner {
   /// Changes values of the scene and goes on from its state; see AdjustScene.
   Result<v1::AdjustSceneResponse> adjust(const v1::SceneAdjustments& changes);
 
-  /// Never waits for a step. Refuses (and counts) a pose that is not finite, not newer than the client's last, or for
-  /// an unknown tool.
-  Result<void> submit_pose(std::string_view tool, const v1::ToolPose& pose);
+  /// Never waits for a step. Refuses (and counts) a pose that is not finite, not newer than the client's last, for an
+  /// unknown tool, or for a tool that another client claims.
+  Result<void> submit_pose(std::string_view tool, const v1::ToolPose& pose, PoseSource source = PoseSource::kClient);
   /// Counts a pose that could not even be parsed.
   void count_malformed_pose();
 

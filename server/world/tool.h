@@ -32,10 +32,11 @@ struct PoseStamp {
   std::uint64_t client_time_ns = 0;
   std::uint64_t client_id = 0;
   Clock::time_point arrived{};  ///< at the server
+  bool claims = false;          ///< its client claims the tool (pose_inbox.h)
 };
 
-/// valid_for_s of a pose that holds until the next one.
-inline constexpr double kUntilTheNext = std::numeric_limits<double>::infinity();
+/// valid_for_s of a pose that holds until the next one, and of one that has expired.
+inline constexpr double kUntilTheNext = std::numeric_limits<double>::infinity(), kExpired = 0;
 
 struct ReceivedPose {
   Pose pose;

@@ -15,6 +15,7 @@ v1::ToolFeedback good() {
   message.set_pose_sequence(41);
   message.set_client_time_ns(123);
   message.set_client_id(9);
+  message.set_claimed(true);
   message.mutable_position_m()->set_x(0.1);
   message.mutable_force_n()->set_z(2.0);
   for (const double k : {100.0, 10.0, 0.0, 10.0, 50.0, 0.0, 0.0, 0.0, 20.0}) {
@@ -35,6 +36,7 @@ TEST(Feedback, DecodesEveryFieldAndTheArrival) {
   EXPECT_EQ(feedback.pose_sequence, 41u);
   EXPECT_EQ(feedback.client_time_ns, 123);
   EXPECT_EQ(feedback.client_id, 9u);
+  EXPECT_TRUE(feedback.claimed);
   EXPECT_EQ(feedback.arrival_ns, 456);
   EXPECT_EQ(feedback.position_m, Eigen::Vector3d(0.1, 0.0, 0.0));
   EXPECT_EQ(feedback.force_n, Eigen::Vector3d(0.0, 0.0, 2.0));
@@ -132,6 +134,7 @@ TEST(Feedback, APoseArrivesAsItWasSent) {
   pose.sequence = 5;
   pose.client_id = std::numeric_limits<std::uint64_t>::max();
   pose.client_time_ns = 77;
+  pose.session = 11;
   pose.pose.position_m = {1.0, 2.0, 3.0};
   pose.pose.orientation = Eigen::Quaterniond(0.0, 0.6, 0.0, 0.8);
   std::string bytes = "what was there before";
@@ -141,6 +144,8 @@ TEST(Feedback, APoseArrivesAsItWasSent) {
   EXPECT_EQ(message.sequence(), 5u);
   EXPECT_EQ(message.client_id(), std::numeric_limits<std::uint64_t>::max());
   EXPECT_EQ(message.client_time_ns(), 77u);
+  EXPECT_EQ(message.session(), 11u);
+  EXPECT_EQ(message.valid_for_s(), kPoseValidForS);
   EXPECT_EQ(message.position_m().y(), 2.0);
   EXPECT_EQ(message.orientation().x(), 0.6);
   EXPECT_EQ(message.orientation().z(), 0.8);

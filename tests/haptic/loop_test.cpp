@@ -105,6 +105,29 @@ TEST(Loop, ChoosesItsOwnClientId) {
   ASSERT_TRUE(bench.run(o));
   ASSERT_FALSE(bench.link.sent.empty());
   EXPECT_NE(bench.link.sent[0].client_id, 0u);
+  EXPECT_NE(bench.link.sent[0].session, 0u);
+  EXPECT_NE(bench.link.sent[0].session, bench.link.sent[0].client_id) << "everybody can read the id";
+  EXPECT_EQ(bench.link.sent.back().session, bench.link.sent[0].session);
+}
+
+TEST(Loop, TellsWhoElseClaimsTheTool) {
+  for (const bool claimed : {false, true}) {
+    Bench bench;
+    bench.link.answer = [claimed](const OutgoingPose& pose) {
+      Feedback feedback = answer_to(pose, pose.sequence);
+      feedback.client_id = 43;
+      feedback.claimed = claimed;
+      return std::optional(feedback);
+    };
+    std::atomic<std::uint64_t> claimed_by = 0;
+    LoopOptions o = options(0.01);
+    o.claimed_by = &claimed_by;
+    const auto report = bench.run(o);
+    ASSERT_TRUE(report);
+    EXPECT_EQ(claimed_by, claimed ? 43u : 0u);
+    EXPECT_EQ(report->feedback_claimed, claimed ? report->feedback_foreign : 0u);
+    EXPECT_GT(report->feedback_foreign, 0u);
+  }
 }
 
 TEST(Loop, EndsWithoutForce) {

@@ -72,6 +72,13 @@ TEST(Report, ExplainsMissingAnswersFromTheScenesStatus) {
   EXPECT_NE(why(v1::SceneStatus::STATE_LOCKSTEP, 5).find("lockstep"), std::string::npos);
   EXPECT_NE(why(v1::SceneStatus::STATE_FAULTED, 5).find("step 7 left its bounds"), std::string::npos);
   EXPECT_NE(why(v1::SceneStatus::STATE_RUNNING, 5).find("ports"), std::string::npos);
+  v1::ToolFeedback& tool = *status.add_tools();
+  tool.set_tool("probe");
+  tool.set_client_id(0x2b);
+  tool.set_claimed(true);
+  EXPECT_NE(why(v1::SceneStatus::STATE_RUNNING, 6).find("tool 'probe': another client (0x2b) claims the tool"),
+            std::string::npos);
+  EXPECT_NE(why(v1::SceneStatus::STATE_RUNNING, 5).find("ports"), std::string::npos) << "it refused no pose";
 }
 
 }  // namespace

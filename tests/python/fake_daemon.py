@@ -183,6 +183,12 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         await self._command(request, context)
         return control_pb2.PauseSceneResponse()
 
+    async def MoveTool(  # noqa: N802
+        self, request: control_pb2.MoveToolRequest, context: Call
+    ) -> control_pb2.MoveToolResponse:
+        await self._command(request, context)
+        return control_pb2.MoveToolResponse()
+
     async def ResumeScene(  # noqa: N802
         self, request: control_pb2.ResumeSceneRequest, context: Call
     ) -> control_pb2.ResumeSceneResponse:

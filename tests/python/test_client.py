@@ -328,6 +328,19 @@ def test_a_step_that_was_there_before_a_reset_is_news(daemon: FakeDaemon) -> Non
         assert frames.dropped_count == 0
 
 
+def test_a_clock_that_was_set_back_hides_no_frame(daemon: FakeDaemon) -> None:
+    topology = triangle_topology("s", vertex_count=4)
+    daemon.topologies["s"] = topology
+    daemon.frames["s"] = frame_of(topology, 3)
+    before, stepped, reset = (frame_of(topology, sequence) for sequence in (2, 4, 5))
+    stepped.server_time_ns = reset.server_time_ns = 1
+    reset.step = 0
+    with tm.connect(daemon.control) as server:
+        script = Script([before, stepped, reset])
+        frames = tm.FrameStream(tm.SceneHandle(server, "s", None), script, DEADLINE_S)  # type: ignore[arg-type]
+        assert [next(frames).sequence for _ in range(3)] == [3, 4, 5]
+
+
 def test_another_scene_of_the_same_name_has_another_topology(daemon: FakeDaemon) -> None:
     daemon.topologies["s"] = triangle_topology("s", vertex_count=4)
     daemon.frames["s"] = frame_of(daemon.topologies["s"], 1)

@@ -21,7 +21,7 @@ from asynchronous import DEADLINE_S, asynchronous
 from fake_daemon import Endpoints, fake_daemon, frame_of, triangle_topology
 from gateway_parts import browse, load, options, origin, publish
 
-from tensormass.v1 import stream_pb2
+from tensormass.v1 import control_pb2, stream_pb2
 from tensormass_gateway.feed import BUS_STREAMS
 from tensormass_gateway.gateway import Gateway, serve
 from tensormass_gateway.options import GatewayOptions, add_arguments, options_from
@@ -376,6 +376,32 @@ async def test_allowed_poses_reach_the_daemon(viewer: Path) -> None:
             assert before_ns <= poses[0][1].client_time_ns <= poses[1][1].client_time_ns <= time.time_ns()
             assert poses[0][1].client_id == poses[1][1].client_id != 0
             assert not any(pose.HasField("orientation") for _, pose in poses)
+
+
+@asynchronous
+async def test_a_tool_that_a_client_claims_is_taken_over(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control, allow_poses=True)) as gateway:
+        topology = load(daemon)
+        async with browse(gateway, "liver") as page:
+            await page.take(Stream.TOPOLOGY)
+            await daemon.wait_subscribed("liver", "frame")
+            frame = frame_of(topology, 7)
+            frame.tools[0].claimed = True
+            await daemon.publish("liver", "frame", frame.SerializeToString())
+            await page.take(Stream.FRAME)
+            await page.send(type="pose", tool="probe", position_m=[0.5, 0, -1])
+            while not daemon.commands:
+                await asyncio.sleep(0)
+            taken = daemon.commands[0]
+            assert isinstance(taken, control_pb2.MoveToolRequest)
+            assert (taken.scene, taken.tool, taken.pose.position_m.x) == ("liver", "probe", 0.5)
+            assert taken.pose.session != 0
+            # Nobody claims it any more: the data plane is enough.
+            await daemon.publish("liver", "frame", frame_of(topology, 8).SerializeToString())
+            await page.take(Stream.FRAME)
+            await page.send(type="pose", tool="probe", position_m=[0.25, 0, -1])
+            _, pose = await daemon.next_pose()
+            assert (pose.sequence, pose.session) == (2, taken.pose.session)
 
 
 @pytest.mark.parametrize(

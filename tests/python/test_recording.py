@@ -78,7 +78,8 @@ def move_at_random(address: str, seed: int, ends: threading.Event) -> None:
     random = np.random.default_rng(seed)
     with tm.connect(address) as server:
         scene = server.scene("block")
-        with scene.tool_stream("probe", valid_for_s=0.1) as poses:
+        # Without valid_for_s nobody claims the probe, so that both move it.
+        with scene.tool_stream("probe") as poses:
             while not ends.is_set():
                 poses.send(random.uniform([0.03, 0.03, 0.05], [0.07, 0.07, 0.07]))
                 time.sleep(0.004)

@@ -298,7 +298,10 @@ def test_poses_are_numbered_for_each_client() -> None:
     before_ns = time.monotonic_ns()
     assert before_ns <= PoseSequence().next((0, 0, 0), None).client_time_ns <= time.monotonic_ns()
     assert second.next((0, 0, 0), None).sequence == 1
-    assert first.next((0, 0, 0), None).client_id != second.next((0, 0, 0), None).client_id
+    one, other = first.next((0, 0, 0), None), second.next((0, 0, 0), None)
+    assert one.client_id != other.client_id
+    assert len({one.session, other.session, one.client_id, other.client_id, 0}) == 5
+    assert first.next((0, 0, 0), None).session == one.session
 
 
 @pytest.mark.parametrize(

@@ -111,6 +111,30 @@ TEST(Messages, FeedbackEchoesThePoseAndCarriesTheLocalModel) {
   EXPECT_EQ(feedback.local_model().valid_for_s(), local_model_validity_s(model));
 }
 
+TEST(Messages, AToolIsClaimedUntilItIsRetired) {
+  const model::Model model = two_bodies_and_a_probe();
+  ToolReading reading;
+  v1::ToolFeedback feedback;
+  fill_feedback(model, {}, 0, reading, feedback);
+  EXPECT_FALSE(feedback.claimed());
+  reading.newest.claims = true;
+  fill_feedback(model, {}, 0, reading, feedback);
+  EXPECT_TRUE(feedback.claimed());
+  reading.retired = true;
+  fill_feedback(model, {}, 0, reading, feedback);
+  EXPECT_FALSE(feedback.claimed());
+}
+
+TEST(Messages, VersionsOfTopologiesRise) {
+  std::uint64_t last = unix_time_ns();
+  // Faster than the clock ticks.
+  for (int i = 0; i < 100'000; ++i) {
+    const std::uint64_t next = new_topology_version();
+    ASSERT_GT(next, last);
+    last = next;
+  }
+}
+
 /// The local model of a tool with a mass belongs to the place of the hand, and the tool is elsewhere.
 TEST(Messages, FeedbackOfAToolWithAMassHasAnAnchor) {
   model::Model model = two_bodies_and_a_probe();

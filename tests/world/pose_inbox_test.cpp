@@ -70,6 +70,92 @@ TEST(PoseInbox, RefusesPosesThatAreNotNewerThanTheSameClientsLast) {
   EXPECT_TRUE(inbox.submit(probe(), pose(7, 6))) << "and the first goes on";
 }
 
+/// A pose of a session; valid_for_s 0: without.
+v1::ToolPose session_pose(std::uint64_t session, std::uint64_t sequence, double valid_for_s = 0) {
+  v1::ToolPose out = pose(session + 100, sequence);
+  out.set_session(session);
+  if (valid_for_s > 0) out.set_valid_for_s(valid_for_s);
+  return out;
+}
+
+constexpr auto kClient = PoseSource::kClient, kOperator = PoseSource::kOperator;
+
+TEST(PoseInbox, NobodyUsesUpTheSequencesOfASession) {
+  PoseInbox inbox;
+  ASSERT_TRUE(inbox.submit(probe(), session_pose(7, 1)));
+  // Everybody can read the client's id in the feedback, and an id may be the number of a session.
+  v1::ToolPose forged = pose(107, std::numeric_limits<std::uint64_t>::max());
+  EXPECT_TRUE(inbox.submit(probe(), forged));
+  forged = pose(7, std::numeric_limits<std::uint64_t>::max());
+  EXPECT_TRUE(inbox.submit(probe(), forged));
+  forged = session_pose(8, std::numeric_limits<std::uint64_t>::max());
+  forged.set_client_id(107);
+  EXPECT_TRUE(inbox.submit(probe(), forged));
+  EXPECT_TRUE(inbox.submit(probe(), session_pose(7, 2)));
+  EXPECT_FALSE(inbox.submit(probe(), session_pose(7, 2)));
+}
+
+TEST(PoseInbox, AClaimRefusesOthersUntilItsLastPoseExpires) {
+  using namespace std::chrono_literals;
+  PoseInbox inbox;
+  const Clock::time_point begin = Clock::now();
+  ASSERT_TRUE(inbox.submit(probe(), pose(1, 1), kClient, begin));
+  EXPECT_FALSE(inbox.take()->stamp.claims) << "without a session the newest pose counts";
+  ASSERT_TRUE(inbox.submit(probe(), session_pose(7, 1, 0.5), kClient, begin));
+  EXPECT_TRUE(inbox.take()->stamp.claims);
+  ASSERT_TRUE(inbox.submit(probe(), session_pose(7, 2, 0.5), kClient, begin + 400ms));
+  for (const v1::ToolPose& other : {pose(1, 2), pose(0, 0), pose(107, 9), session_pose(8, 1, 0.5)}) {
+    const auto refused = inbox.submit(probe(), other, kClient, begin + 899ms);
+    ASSERT_FALSE(refused);
+    EXPECT_EQ(refused.error().code, ErrorCode::kFailedPrecondition);
+    EXPECT_NE(refused.error().message.find("client 0x6b claims it"), std::string::npos) << refused.error().message;
+    EXPECT_NE(refused.error().message.find("MoveTool"), std::string::npos) << refused.error().message;
+  }
+  EXPECT_EQ(inbox.take()->stamp.sequence, 2u);
+  EXPECT_EQ(inbox.rejected(), 4u);
+  // The refused ones have used up no sequence.
+  ASSERT_TRUE(inbox.submit(probe(), session_pose(8, 1, 0.5), kClient, begin + 901ms));
+  EXPECT_FALSE(inbox.submit(probe(), session_pose(7, 3, 0.5), kClient, begin + 902ms)) << "now it is the other's";
+}
+
+TEST(PoseInbox, ASessionHandsOverByAPoseThatHoldsUntilTheNextOne) {
+  PoseInbox inbox;
+  ASSERT_TRUE(inbox.submit(probe(), session_pose(7, 1, 3600)));
+  ASSERT_FALSE(inbox.submit(probe(), pose(1, 1)));
+  ASSERT_TRUE(inbox.submit(probe(), session_pose(7, 2)));
+  EXPECT_FALSE(inbox.take()->stamp.claims);
+  EXPECT_TRUE(inbox.submit(probe(), pose(1, 1)));
+}
+
+TEST(PoseInbox, TheOperatorTakesAToolOverAndKeepsIt) {
+  using namespace std::chrono_literals;
+  PoseInbox inbox;
+  const Clock::time_point begin = Clock::now();
+  ASSERT_TRUE(inbox.submit(probe(), session_pose(7, 1, 0.5), kClient, begin));
+  ASSERT_TRUE(inbox.submit(probe(), pose(1, 1), kOperator, begin + 100ms));
+  // The hand goes on and is refused, and told why.
+  for (std::uint64_t i = 2; i < 30; ++i) {
+    const auto refused = inbox.submit(probe(), session_pose(7, i, 0.5), kClient, begin + i * 100ms);
+    ASSERT_FALSE(refused) << i;
+    EXPECT_NE(refused.error().message.find("MoveTool took it over"), std::string::npos) << refused.error().message;
+  }
+  // Scripts and new sessions move the tool.
+  EXPECT_TRUE(inbox.submit(probe(), pose(2, 1), kClient, begin + 2900ms));
+  EXPECT_TRUE(inbox.submit(probe(), session_pose(8, 1), kClient, begin + 2900ms));
+  // The hand paused for its half second, and takes the tool again.
+  EXPECT_FALSE(inbox.submit(probe(), session_pose(7, 40, 0.5), kClient, begin + 3399ms));
+  EXPECT_TRUE(inbox.submit(probe(), session_pose(7, 41, 0.5), kClient, begin + 3900ms));
+}
+
+TEST(PoseInbox, AnOperatorWithASessionClaims) {
+  PoseInbox inbox;
+  ASSERT_TRUE(inbox.submit(probe(), session_pose(7, 1, 3600)));
+  ASSERT_TRUE(inbox.submit(probe(), session_pose(9, 1, 3600), kOperator));
+  EXPECT_FALSE(inbox.submit(probe(), session_pose(8, 1, 3600)));
+  EXPECT_FALSE(inbox.submit(probe(), session_pose(7, 2, 3600)));
+  EXPECT_TRUE(inbox.submit(probe(), session_pose(9, 2, 3600)));
+}
+
 TEST(PoseInbox, AlwaysTakesPosesOfScripts) {
   PoseInbox inbox;
   EXPECT_TRUE(inbox.submit(probe(), pose(0, 0, 1)));

@@ -76,6 +76,21 @@ TEST_F(ARecording, KeepsThePoseThatAStepTook) {
   EXPECT_FALSE(recording.take(response));
 }
 
+TEST_F(ARecording, KeepsThatAPoseHasExpired) {
+  ReceivedPose received;
+  received.pose.orientation = {1, 0, 0, 0};
+  received.valid_for_s = kExpired;
+  v1::RecordedPose pose;
+  write_pose("probe", received, 0, pose);
+  auto read = read_pose(pose, model->tools[0], "pose");
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_EQ(read->valid_for_s, kExpired);
+  pose.set_valid_for_s(0.5);
+  read = read_pose(pose, model->tools[0], "pose");
+  ASSERT_FALSE(read);
+  EXPECT_NE(read.error().message.find("has expired and valid_for_s"), std::string::npos) << read.error().message;
+}
+
 TEST_F(ARecording, SaysWhichStepsFoundNoRoom) {
   Recording recording(*model, {.room_for_steps = 4});
   end_steps(recording, 10);

@@ -183,6 +183,52 @@ TEST_P(Replaying, RepeatsARunningSceneOfTwoClientsToTheLastBit) {
   EXPECT_EQ(*equal, recorded.checks.size());
 }
 
+/// A scene that is slower than real time retires a dead client's tool by real time, and a replay does so in the same
+/// step.
+TEST_P(Replaying, RepeatsTheExpiryOfAPoseInASlowScene) {
+  v1::Scene slow = scene(false);
+  slow.mutable_stepping()->set_rate_hz(400);
+  slow.mutable_stepping()->set_dt_s(2.5e-4);  // a tenth of real time
+  const auto runner = load(slow);
+  const StartedRecording started = record(*runner, true);
+  std::mt19937 random(3);
+  v1::ToolPose last = random_pose(random, 5, 1);
+  last.set_session(6);
+  last.set_valid_for_s(0.5);
+  ASSERT_TRUE(runner->submit_pose("probe", last));
+  Recorded recorded;
+  ASSERT_TRUE(tests::eventually(
+      [&] {
+        recorded.take_from(*started.recording);
+        return runner->feedback("probe")->retired();
+      },
+      60s));
+  EXPECT_FALSE(runner->feedback("probe")->claimed());
+  runner->stop_recording(started.recording);
+  recorded.take_from(*started.recording);
+  ASSERT_EQ(recorded.lost, 0u);
+  const auto step_of = [&](bool expired) {
+    return std::find_if(recorded.steps.begin(), recorded.steps.end(), [expired](const v1::RecordedStep& step) {
+      return step.poses_size() > 0 && step.poses(0).expired() == expired;
+    });
+  };
+  ASSERT_NE(step_of(true), recorded.steps.end());
+  const std::uint64_t steps = step_of(true)->index() - step_of(false)->index();
+  EXPECT_LT(static_cast<double>(steps) * 2.5e-4, 0.4) << "half a second of simulated time has not passed";
+
+  slow.mutable_stepping()->set_lockstep(true);
+  const auto second = load(slow);
+  const auto equal = replay(*second, started.start, recorded);
+  ASSERT_TRUE(equal) << equal.error().message;
+  EXPECT_EQ(*equal, recorded.checks.size());
+  EXPECT_TRUE(second->feedback("probe")->retired());
+  // The state of a pose that expired comes back from a snapshot.
+  const auto snapshot = second->snapshot();
+  ASSERT_TRUE(snapshot);
+  const auto restored = second->restore(snapshot->snapshot());
+  EXPECT_TRUE(restored) << restored.error().message;
+}
+
 TEST_P(Replaying, AReaderThatNeverReadsLosesStepsAndStopsNobody) {
   const auto runner = load(scene(true));
   auto started = runner->record({.check_every_steps = 1, .reset = true, .room_for_steps = 10, .room_for_checks = 2});

@@ -21,6 +21,7 @@ from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 from tensormass_gateway.feed import MAX_BUS_MESSAGE_BYTES, RPC_TIMEOUT_S, Feed
 from tensormass_gateway.outbox import Watcher
 from tensormass_gateway.requests import ProtocolError
+from tensormass_gateway.tasks import background
 
 log = logging.getLogger(__name__)
 
@@ -136,6 +137,8 @@ class Daemon:
     ) -> None:
         """Sends a pose on behalf of `watcher`; without an orientation the daemon takes the identity.
 
+        A tool that a client of the bus claims is taken over, which only the control plane can do.
+
         Raises ProtocolError on an unknown tool.
         """
         feed = self._feeds.get(watcher.scene) if watcher.scene is not None else None
@@ -149,10 +152,14 @@ class Daemon:
             sequence=watcher.pose_sequence,
             client_time_ns=time.time_ns(),
             client_id=watcher.client_id,
+            session=watcher.session,
             position_m=scene_pb2.Vector3(**dict(zip("xyz", position_m, strict=True))),
         )
         if orientation_wxyz is not None:
             pose.orientation.CopyFrom(scene_pb2.Quaternion(**dict(zip("wxyz", orientation_wxyz, strict=True))))
+        if tool in feed.claimed:
+            background(self._take_over(control_pb2.MoveToolRequest(scene=feed.scene, tool=tool, pose=pose)))
+            return
         key = f"tensormass/{self.version.server}/{feed.scene}/tool/{tool}/pose\0".encode()
         if self._pose_socket is None:
             # A plain socket of the same context needs no event loop, because it never waits.
@@ -164,6 +171,12 @@ class Daemon:
         # Sends at once or drops the pose, because the next pose is better than a late one.
         with contextlib.suppress(zmq.Again):
             self._pose_socket.send(key + pose.SerializeToString(), flags=zmq.NOBLOCK)
+
+    async def _take_over(self, request: control_pb2.MoveToolRequest) -> None:
+        try:
+            await self.control.MoveTool(request, timeout=RPC_TIMEOUT_S)
+        except grpc.aio.AioRpcError as error:
+            log.info("scene %s: %s", request.scene, error.details())
 
     def state(self) -> dict[str, Any]:
         """Returns what browsers are told about the daemon."""

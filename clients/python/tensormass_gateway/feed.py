@@ -48,6 +48,8 @@ class Feed(SceneStreams):
         """Step of the newest frame or status; None before the first."""
         self._daemon = daemon
         self._last_sequence = 0
+        #: Tools that a client of the bus claims, by the newest frame.
+        self.claimed: set[str] = set()
         self._fields = FieldPoll(self)
 
     def open(self) -> None:
@@ -66,6 +68,7 @@ class Feed(SceneStreams):
         super().close()
         self.step = None
         self._last_sequence = 0
+        self.claimed = set()
 
     def add(self, watcher: Watcher) -> None:
         """Sends the newest messages to a watcher at once, and every new one from now on."""
@@ -154,4 +157,5 @@ class Feed(SceneStreams):
             await self._fetch_topology()
         self._last_sequence = frame.sequence
         self.step = frame.step
+        self.claimed = {tool.tool for tool in frame.tools if tool.claimed}
         self.publish(Stream.FRAME, self.shared(self.key(Stream.FRAME) + payload, frame))

@@ -154,6 +154,8 @@ class Watcher:
         self.field = ""
         """Element field that it shows as colours; empty: none."""
         self.client_id = secrets.randbits(63) | 1
+        self.session = secrets.randbits(64) | 1
+        """Known to the daemon alone, so that nobody else uses up the sequences of this browser's poses."""
         self.pose_sequence = 0
 
     @property

@@ -58,6 +58,8 @@ class Feedback:
     touching: bool
     #: The tool touches nothing, because its newest pose was valid for a time that has passed.
     retired: bool
+    #: The client of the newest pose claims the tool: poses of other clients are refused. `move_tool` takes it over.
+    claimed: bool
     #: The tool stays behind the hand, because the load would exceed its largest or because it backs off.
     gives_way: bool
     #: The step could not be made as planned. A device fades to force_n, which may have jumped.
@@ -107,6 +109,7 @@ class Feedback:
             joint_loads=np.array(message.joint_loads, dtype=np.float64),
             touching=message.touching,
             retired=message.retired,
+            claimed=message.claimed,
             gives_way=message.gives_way,
             recovering=message.recovering,
         )

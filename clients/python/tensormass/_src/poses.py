@@ -16,15 +16,18 @@ from tensormass.v1 import stream_pb2
 
 
 class PoseSequence:
-    """Numbers the poses of one client: a random id, and sequences from 1.
+    """Numbers the poses of one client: a random id, a secret session, and sequences from 1.
 
     Args:
-        valid_for_s: time of the simulation for which a pose holds without a newer one; None: until the next one.
+        valid_for_s: how long a pose holds without a newer one, and claims its tool; None: it holds until the next one,
+            and claims nothing.
     """
 
     def __init__(self, valid_for_s: float | None = None) -> None:
         self._valid_for_s = valid_for_s
         self.client_id = secrets.randbits(63) | 1
+        # Only the daemon learns it, so nobody else can use up its sequences or move the tool that it claims.
+        self._session = secrets.randbits(64) | 1
         self.last = 0
 
     def next(self, position_m: Vector, orientation: Vector | None, joint_values: Vector = ()) -> stream_pb2.ToolPose:
@@ -36,6 +39,7 @@ class PoseSequence:
             sequence=self.last,
             client_time_ns=time.monotonic_ns(),
             client_id=self.client_id,
+            session=self._session,
             position_m=position,
             orientation=rotation,
             joint_values=joints,

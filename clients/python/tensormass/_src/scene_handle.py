@@ -319,6 +319,9 @@ class SceneHandle:
     ) -> None:
         """Moves a tool from the next step on, no faster than its maximum speed.
 
+        It takes the tool over from a client that claims it. That client is refused until it has paused for the time for
+        which its poses hold.
+
         Args:
             position_m: [3] m.
             orientation: quaternion w, x, y, z; None is the identity.
@@ -342,8 +345,10 @@ class SceneHandle:
         """Opens a stream of poses, for clients that move a tool more often than a call per pose allows.
 
         Args:
-            valid_for_s: time of the simulation for which a pose holds, 0.02 to 3600 s. If no other pose follows, the
-                tool lets go of the tissue then. None: a pose holds until the next one.
+            valid_for_s: time for which a pose holds, 0.02 to 3600 s. If no other pose follows, the tool lets go of the
+                tissue then. Until then the stream claims the tool: poses of other clients are refused, and if another
+                client claims it already, those of this stream; `Feedback.claimed` and `client_id` tell. None: a pose
+                holds until the next one, and claims nothing.
 
         Raises:
             NotFoundError: no such tool. The stream itself would not report it.
@@ -381,6 +386,21 @@ def _read(path: Path) -> bytes:
         raise NotFoundError(f"{path}: {error.strerror}") from error
 
 
+def _follows(frame: Frame, first: Frame) -> bool:
+    """Returns whether a frame of the bus is newer than `first`, which a call returned.
+
+    The bus may still bring frames that were published before the call, and once more the state that the call returned.
+    Counts decide, because the server's clock may be set back. The call returns the sequence of the last frame that was
+    published before it, and at most one frame waited to be published then.
+    """
+    if frame.topology.version != first.topology.version:
+        return True
+    if frame.sequence != first.sequence + 1:
+        return frame.sequence > first.sequence
+    # That one may have waited. A reset or a pause publishes a step number again, at another time.
+    return frame.step > first.step or frame.server_time_ns > first.server_time_ns
+
+
 class FrameStream(Closing, Iterator[Frame]):
     """Iterates over the frames of a scene; see `SceneHandle.frames`."""
 
@@ -405,12 +425,7 @@ class FrameStream(Closing, Iterator[Frame]):
             if frame.topology.version == self._last.topology.version:
                 self.dropped_count += max(0, frame.sequence - self._last.sequence - 1)
             self._last = frame
-            # The bus may repeat the first frame, but no later one. The step does not tell them apart: a reset or a
-            # pause publishes a step number again.
-            if (
-                frame.topology.version > self._first.topology.version
-                or frame.server_time_ns > self._first.server_time_ns
-            ):
+            if _follows(frame, self._first):
                 return frame
 
     def close(self) -> None:
