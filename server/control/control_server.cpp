@@ -10,6 +10,7 @@
 #include "control/control_service.h"
 #include "control/doorkeeper.h"
 #include "control/unreadable_request.h"
+#include "core/control_limits.h"
 #include "core/limits.h"
 
 namespace tensormass::control {
@@ -18,8 +19,6 @@ namespace {
 /// Time for running calls to end at shutdown. A StepScene ends within a turn, kStepTurn in control_service.cpp. A load
 /// that takes longer is cancelled.
 constexpr std::chrono::milliseconds kDrainTime{300};
-/// Threads of all calls together; a call beyond them is answered with RESOURCE_EXHAUSTED.
-constexpr int kMaxThreads = 64;
 /// Time without a byte from a client with a call, after which it is asked whether it is there, and time for its answer.
 /// The calls of one that is gone end then.
 constexpr std::chrono::milliseconds kKeepalive{10'000}, kKeepaliveAnswer{5'000};
@@ -46,7 +45,7 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
   parts->acceptor = builder.experimental().AddExternalConnectionAcceptor(
       grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, grpc::InsecureServerCredentials());
   builder.SetMaxReceiveMessageSize(static_cast<int>(limits::kMaxControlMessageBytes));
-  builder.SetResourceQuota(grpc::ResourceQuota("control").SetMaxThreads(kMaxThreads));
+  builder.SetResourceQuota(grpc::ResourceQuota("control").SetMaxThreads(limits::kMaxControlThreads));
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, static_cast<int>(kKeepalive.count()));
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, static_cast<int>(kKeepaliveAnswer.count()));
   builder.AddChannelArgument(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);  // no bound

@@ -19,7 +19,8 @@ namespace tensormass::control {
 ///     client ──> Doorkeeper's thread ──admit──> gRPC ──> a gRPC thread per running call ──> ControlService
 ///                     └─ not HTTP/2 ──> on_refused()
 ///
-/// A running call occupies one of gRPC's threads. Calls beyond kMaxThreads fail with RESOURCE_EXHAUSTED.
+/// A running call occupies one of gRPC's threads. Calls beyond limits::kMaxControlThreads fail with
+/// RESOURCE_EXHAUSTED; long ones before that (call_share.h).
 class ControlServer {
  public:
   /// Listens on `address`, HOST:PORT; port 0 takes a free one. `registry` must outlive the server. GetVersion answers

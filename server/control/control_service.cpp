@@ -71,6 +71,8 @@ grpc::Status ControlService::GetVersion(grpc::ServerContext*, const v1::GetVersi
 
 grpc::Status ControlService::LoadScene(grpc::ServerContext* context, const v1::LoadSceneRequest* request,
                                        v1::LoadSceneResponse* response) {
+  const CallShare::Place place(long_calls_);
+  if (!place) return place.refusal();
   const auto runner = registry_.load(request->scene(), while_awaited(*context));
   if (!runner) return to_status(runner.error());
   *response->mutable_report() = (*runner)->report();
@@ -79,6 +81,8 @@ grpc::Status ControlService::LoadScene(grpc::ServerContext* context, const v1::L
 
 grpc::Status ControlService::LoadSceneWithProgress(grpc::ServerContext* context, const v1::LoadSceneRequest* request,
                                                    grpc::ServerWriter<v1::LoadSceneWithProgressResponse>* writer) {
+  const CallShare::Place place(long_calls_);
+  if (!place) return place.refusal();
   const model::Progress progress([&](std::string_view part, double fraction) {
     v1::LoadSceneWithProgressResponse response;
     response.set_part(std::string(part));
@@ -109,23 +113,31 @@ grpc::Status ControlService::ListScenes(grpc::ServerContext*, const v1::ListScen
 
 grpc::Status ControlService::InspectScene(grpc::ServerContext* context, const v1::InspectSceneRequest* request,
                                           v1::InspectSceneResponse* response) {
+  const CallShare::Place place(long_calls_);
+  if (!place) return place.refusal();
   return answer(registry_.inspect(request->scene(), while_awaited(*context)), response->mutable_report());
 }
 
 grpc::Status ControlService::PauseScene(grpc::ServerContext*, const v1::PauseSceneRequest* request,
                                         v1::PauseSceneResponse* response) {
+  const CallShare::Place place(waiting_calls_);
+  if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->pause(); }),
                 response->mutable_status());
 }
 
 grpc::Status ControlService::ResumeScene(grpc::ServerContext*, const v1::ResumeSceneRequest* request,
                                          v1::ResumeSceneResponse* response) {
+  const CallShare::Place place(waiting_calls_);
+  if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->resume(); }),
                 response->mutable_status());
 }
 
 grpc::Status ControlService::StepScene(grpc::ServerContext* context, const v1::StepSceneRequest* request,
                                        v1::StepSceneResponse* response) {
+  const CallShare::Place place(long_calls_);
+  if (!place) return place.refusal();
   const std::uint32_t count = request->count();
   if (count == 0 || count > limits::kMaxStepsPerCall) {
     return to_status(
@@ -140,6 +152,8 @@ grpc::Status ControlService::StepScene(grpc::ServerContext* context, const v1::S
 
 grpc::Status ControlService::ResetScene(grpc::ServerContext*, const v1::ResetSceneRequest* request,
                                         v1::ResetSceneResponse* response) {
+  const CallShare::Place place(reset_calls_);
+  if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->reset(); }),
                 response->mutable_status());
 }
@@ -152,12 +166,16 @@ grpc::Status ControlService::GetTopology(grpc::ServerContext*, const v1::GetTopo
 
 grpc::Status ControlService::GetFrame(grpc::ServerContext*, const v1::GetFrameRequest* request,
                                       v1::GetFrameResponse* response) {
+  const CallShare::Place place(waiting_calls_);
+  if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->frame(); }),
                 response->mutable_frame());
 }
 
 grpc::Status ControlService::GetPositions(grpc::ServerContext*, const v1::GetPositionsRequest* request,
                                           v1::GetPositionsResponse* response) {
+  const CallShare::Place place(waiting_calls_);
+  if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
     return runner->positions(request->body());
   }),
@@ -166,6 +184,8 @@ grpc::Status ControlService::GetPositions(grpc::ServerContext*, const v1::GetPos
 
 grpc::Status ControlService::GetFields(grpc::ServerContext*, const v1::GetFieldsRequest* request,
                                        v1::GetFieldsResponse* response) {
+  const CallShare::Place place(long_calls_);
+  if (!place) return place.refusal();
   return answer(
       registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) { return runner->fields(*request); }),
       response);
@@ -186,6 +206,8 @@ grpc::Status ControlService::MoveTool(grpc::ServerContext*, const v1::MoveToolRe
 
 grpc::Status ControlService::GetFeedback(grpc::ServerContext*, const v1::GetFeedbackRequest* request,
                                          v1::GetFeedbackResponse* response) {
+  const CallShare::Place place(waiting_calls_);
+  if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
     return runner->feedback(request->tool());
   }),
@@ -194,6 +216,8 @@ grpc::Status ControlService::GetFeedback(grpc::ServerContext*, const v1::GetFeed
 
 grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1::RecordSceneRequest* request,
                                          grpc::ServerWriter<v1::RecordSceneResponse>* writer) {
+  const CallShare::Place place(long_calls_);
+  if (!place) return place.refusal();
   auto runner = registry_.find(request->scene());
   if (!runner) return to_status(runner.error());
   const std::weak_ptr<world::Runner> scene = *runner;
@@ -233,6 +257,8 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
 
 grpc::Status ControlService::ReplayScene(grpc::ServerContext*, const v1::ReplaySceneRequest* request,
                                          v1::ReplaySceneResponse* response) {
+  const CallShare::Place place(long_calls_);
+  if (!place) return place.refusal();
   return answer(
       registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) { return runner->replay(*request); }),
       response);
@@ -240,12 +266,16 @@ grpc::Status ControlService::ReplayScene(grpc::ServerContext*, const v1::ReplayS
 
 grpc::Status ControlService::SnapshotScene(grpc::ServerContext*, const v1::SnapshotSceneRequest* request,
                                            v1::SnapshotSceneResponse* response) {
+  const CallShare::Place place(long_calls_);
+  if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->snapshot(); }),
                 response);
 }
 
 grpc::Status ControlService::RestoreScene(grpc::ServerContext*, const v1::RestoreSceneRequest* request,
                                           v1::RestoreSceneResponse* response) {
+  const CallShare::Place place(long_calls_);
+  if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
     return runner->restore(request->snapshot());
   }),
@@ -254,6 +284,8 @@ grpc::Status ControlService::RestoreScene(grpc::ServerContext*, const v1::Restor
 
 grpc::Status ControlService::AdjustScene(grpc::ServerContext*, const v1::AdjustSceneRequest* request,
                                          v1::AdjustSceneResponse* response) {
+  const CallShare::Place place(long_calls_);
+  if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
     return runner->adjust(request->changes());
   }),

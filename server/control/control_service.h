@@ -3,7 +3,9 @@
 #include <cstdint>
 #include <functional>
 
+#include "control/call_share.h"
 #include "control/scene_registry.h"
+#include "core/control_limits.h"
 #include "tensormass/v1/control.grpc.pb.h"
 
 namespace tensormass::control {
@@ -12,7 +14,8 @@ namespace tensormass::control {
 ///
 /// gRPC runs each call on a thread of its own. A call finds its scene in the registry and calls the scene's runner,
 /// which passes commands to the scene's loop. So no call touches the state of a simulation. Errors become gRPC statuses
-/// in status.h. unreadable_request.h answers requests that are not protobuf before they get here.
+/// in status.h. Calls that may hold their thread for long have a share of the threads (call_share.h).
+/// unreadable_request.h answers requests that are not protobuf before they get here.
 class ControlService final : public v1::Control::Service {
  public:
   /// `registry` must outlive the service. GetVersion answers `identity` with the current result of `malformed_count` in
@@ -50,6 +53,9 @@ class ControlService final : public v1::Control::Service {
   SceneRegistry& registry_;
   const v1::GetVersionResponse identity_;
   const std::function<std::uint64_t()> malformed_count_;
+  CallShare long_calls_{limits::kMaxLongCalls, "kMaxLongCalls"};
+  CallShare waiting_calls_{limits::kMaxWaitingCalls, "kMaxWaitingCalls"};
+  CallShare reset_calls_{limits::kMaxResetCalls, "kMaxResetCalls"};
 };
 
 }  // namespace tensormass::control

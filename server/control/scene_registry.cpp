@@ -49,11 +49,14 @@ class SceneRegistry::Reservation {
   std::string name_;
 };
 
-SceneRegistry::SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal)
-    : options_(options), output_signal_(std::move(output_signal)) {}
+SceneRegistry::SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal,
+                             const AdmissionLimits& admission)
+    : options_(options), output_signal_(std::move(output_signal)), admission_(admission) {}
 
 Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene, const model::Progress& progress) {
   TM_ASSIGN_OR_RETURN(reservation, Reservation::take(*this, scene.name()));
+  const auto promise = admission_.admit(scene);
+  if (!promise) return tl::make_unexpected(promise.error());
   TM_ASSIGN_OR_RETURN(started, world::Runner::start(scene, options_, progress));
   const RunnerPtr runner = std::move(started);
   runner->set_output_signal(output_signal_);

@@ -10,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include "control/admission.h"
 #include "core/result.h"
 #include "tensormass/v1/scene.pb.h"
 #include "world/runner.h"
@@ -42,14 +43,19 @@ class SceneRegistry {
  public:
   /// `output_signal` is called after every load and unload, and by the scenes' loops when a mailbox has something new.
   /// It runs on their threads and must not block.
-  SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal);
+  /// admission: bounds of what loads may need.
+  SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal,
+                const AdmissionLimits& admission = {});
 
   /// Compiles the scene and starts its loop; returns when it runs, after seconds for a large mesh. Fails with
-  /// kAlreadyExists for a name in use, kResourceExhausted beyond limits::kMaxScenes, kUnavailable after `close`,
+  /// kAlreadyExists for a name in use, kResourceExhausted beyond limits::kMaxScenes or the admission's limits,
+  /// kUnavailable after `close`,
   /// kCancelled if `progress` ends it, and with the errors of world::Runner::start.
   Result<RunnerPtr> load(const v1::Scene& scene, const model::Progress& progress = {});
   /// Checks and compiles the scene without running it. It needs no name in the registry.
-  Result<v1::SceneReport> inspect(const v1::Scene& scene, const model::Progress& progress = {}) const {
+  Result<v1::SceneReport> inspect(const v1::Scene& scene, const model::Progress& progress = {}) {
+    const auto promise = admission_.admit(scene);
+    if (!promise) return tl::make_unexpected(promise.error());
     return world::Runner::inspect(scene, options_, progress);
   }
   /// Removes the scene and cancels its StepScene. Returns when its loop has ended, unless another owner still holds it.
@@ -72,6 +78,7 @@ class SceneRegistry {
 
   const world::RunnerOptions options_;
   const std::function<void()> output_signal_;
+  Admission admission_;
   std::atomic<std::uint64_t> generation_{0};
   mutable std::shared_mutex mutex_;
   // Guarded by mutex_, as is closed_. Null: the name is reserved for a scene that is being compiled.

@@ -20,6 +20,9 @@ namespace tensormass::daemon {
 namespace {
 
 constexpr const char* kOff = "off";
+/// Bounds of settings that are beyond every machine: 2^60 bytes, and 30 years.
+constexpr std::uint64_t kMostMib = std::uint64_t{1} << 40;
+constexpr double kMostSeconds = 1e9;
 
 std::string host_of(std::string_view endpoint) {
   for (const std::string_view scheme : {"tcp://", "tcp/"}) {
@@ -58,6 +61,13 @@ std::string check_zeromq(const std::string& text) {
 
 std::string check_zenoh(const std::string& text) {
   return text == kOff ? std::string() : check_host_and_port(text, "tcp/", false);
+}
+
+/// CLI::Range takes NaN.
+std::string check_seconds(const std::string& text) {
+  double seconds = 0;
+  if (CLI::detail::lexical_cast(text, seconds) && seconds > 0 && seconds <= kMostSeconds) return {};
+  return fmt::format("'{}' is not a number of seconds above 0, at most {:g}", text, kMostSeconds);
 }
 
 std::string check_server_name(const std::string& name) {
@@ -124,6 +134,14 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
          "Concurrent scenes that must keep their rates on one GPU. Each gets its share of the GPU and waits without "
          "occupying a CPU core. 1: a scene runs as fast as it can alone")
       ->check(CLI::Range(1u, limits::kMaxGpuScenes));
+  app.add_option("--max-scene-mib", config.max_scene_mib,
+                 "Memory that one load may need, estimated from its counts; 0: as --max-memory-mib")
+      ->check(CLI::Range(std::uint64_t{0}, kMostMib));
+  app.add_option("--max-memory-mib", config.max_memory_mib,
+                 "Memory of the daemon above which loads are refused; 0: 80 % of what the container or machine has")
+      ->check(CLI::Range(std::uint64_t{0}, kMostMib));
+  app.add_option("--max-load-s", config.max_load_s, "Time that one load may take, estimated from its counts")
+      ->check(check_seconds);
   app.add_option("--server-name", config.server_name, "<server> in the keys of the data plane")
       ->check(check_server_name);
   app.add_option("--control", config.control, "gRPC: HOST:PORT; port 0 for a free one")->check(check_control);

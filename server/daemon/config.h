@@ -26,6 +26,10 @@ struct Config {
   std::string zenoh_listen = "tcp/127.0.0.1:7447";
   /// Clients connected over zenoh at once.
   std::uint32_t zenoh_sessions = limits::kDefaultZenohSessions;
+  /// What scenes may take (control/admission.h). 0: the default.
+  std::uint64_t max_scene_mib = 0;
+  std::uint64_t max_memory_mib = 0;
+  double max_load_s = 600;
   spdlog::level::level_enum log_level = spdlog::level::info;
   log::Format log_format = log::Format::kText;
   /// Path of the ready file (daemon.h). Empty: no file is written.

@@ -12,6 +12,11 @@
 #include <fmt/format.h>
 
 namespace tensormass::daemon {
+namespace {
+
+constexpr double kMib = 1 << 20;
+
+}  // namespace
 
 Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config) {
   TM_ASSIGN_OR_RETURN(backend, world::describe_backend(config.backend));
@@ -41,7 +46,10 @@ Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config) {
 
 Daemon::Daemon(const Config& config, const world::BackendDescription& backend)
     : registry_({.backend = config.backend, .cpu_threads = config.cpu_threads, .gpu_scenes = config.gpu_scenes},
-                [this] { wake_up_.signal(); }) {
+                [this] { wake_up_.signal(); },
+                {.scene_bytes = static_cast<double>(config.max_scene_mib) * kMib,
+                 .all_bytes = static_cast<double>(config.max_memory_mib) * kMib,
+                 .load_s = config.max_load_s}) {
   identity_.set_version(TENSORMASS_VERSION);
   identity_.set_server(config.server_name);
   identity_.set_backend(backend.backend);

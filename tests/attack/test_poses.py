@@ -150,5 +150,5 @@ def test_a_dead_hand_is_retired_by_real_time(record_property: Callable[[str, obj
                 break
         assert taken is not None
         simulated_s = (frame.step - taken) * 5e-4
-        record_property("now", f"after {10 * simulated_s:.1f} s at most, of which the force fades for 1 s")
+        record_property("now", f"after {10 * simulated_s:.1f} s, with 1 s for the force to fade")
         assert simulated_s < 0.5
