@@ -1,5 +1,6 @@
 #include "bus/pose_input.h"
 
+#include <new>
 #include <utility>
 
 #include "bus/keys.h"
@@ -10,7 +11,8 @@ namespace tensormass::bus {
 PoseInput::PoseInput(std::string server, PoseHandler on_pose, MalformedHandler on_malformed)
     : server_(std::move(server)), on_pose_(std::move(on_pose)), on_malformed_(std::move(on_malformed)) {}
 
-void PoseInput::receive(std::string_view key, std::string_view payload) {
+// A transport's thread must go on, so a message for which there is no memory is dropped, as if it had not come.
+void PoseInput::receive(std::string_view key, std::string_view payload) try {
   const auto address = parse_pose_key(server_, key);
   if (!address) return refuse({}, "the key is not one of this server's pose keys");
   if (payload.size() > limits::kMaxPoseMessageBytes) return refuse(address->scene, "longer than kMaxPoseMessageBytes");
@@ -20,6 +22,7 @@ void PoseInput::receive(std::string_view key, std::string_view payload) {
     return refuse(address->scene, "not a ToolPose with a position");
   }
   on_pose_(address->scene, address->tool, pose);
+} catch (const std::bad_alloc&) {
 }
 
 void PoseInput::receive_framed(std::string_view bytes) {
@@ -28,9 +31,10 @@ void PoseInput::receive_framed(std::string_view bytes) {
   receive(bytes.substr(0, end_of_key), bytes.substr(end_of_key + 1));
 }
 
-void PoseInput::refuse(std::string_view scene, std::string_view reason) {
+void PoseInput::refuse(std::string_view scene, std::string_view reason) try {
   malformed_.fetch_add(1, std::memory_order_relaxed);
   on_malformed_(scene, reason);
+} catch (const std::bad_alloc&) {
 }
 
 }  // namespace tensormass::bus

@@ -11,6 +11,7 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <new>
 #include <string_view>
 #include <utility>
 
@@ -115,22 +116,31 @@ void Doorkeeper::open(Admit admit, Refuse refuse) {
 void Doorkeeper::run() {
   std::vector<pollfd> items;
   while (true) {
-    const bool accepts = Clock::now() >= accept_after_;
-    items.assign({{stop_.get(), POLLIN, 0}, {listener_.get(), static_cast<short>(accepts ? POLLIN : 0), 0}});
-    for (const Connection& connection : waiting_) items.push_back({connection.socket.get(), POLLIN, 0});
-    const int timeout_ms = static_cast<int>(std::chrono::milliseconds(kPrefaceTimeout).count());
-    const int pause_ms = static_cast<int>(std::chrono::milliseconds(kAcceptPause).count());
-    poll(items.data(), items.size(), !accepts ? pause_ms : waiting_.empty() ? -1 : timeout_ms);
-    if (items[0].revents != 0) return;
-    const Clock::time_point now = Clock::now();
-    // From the back, so that erasing one does not move those that follow in the loop.
-    for (std::size_t i = waiting_.size(); i-- > 0;) {
-      if (decide(waiting_[i], items[i + 2].revents != 0, now)) {
-        waiting_.erase(waiting_.begin() + static_cast<std::ptrdiff_t>(i));
-      }
+    try {
+      if (!serve(items)) return;
+    } catch (const std::bad_alloc&) {
+      // A connection for which there is no memory is closed; the others wait.
     }
-    if (items[1].revents != 0) accept_connections(now);
   }
+}
+
+bool Doorkeeper::serve(std::vector<pollfd>& items) {
+  const bool accepts = Clock::now() >= accept_after_;
+  items.assign({{stop_.get(), POLLIN, 0}, {listener_.get(), static_cast<short>(accepts ? POLLIN : 0), 0}});
+  for (const Connection& connection : waiting_) items.push_back({connection.socket.get(), POLLIN, 0});
+  const int timeout_ms = static_cast<int>(std::chrono::milliseconds(kPrefaceTimeout).count());
+  const int pause_ms = static_cast<int>(std::chrono::milliseconds(kAcceptPause).count());
+  poll(items.data(), items.size(), !accepts ? pause_ms : waiting_.empty() ? -1 : timeout_ms);
+  if (items[0].revents != 0) return false;
+  const Clock::time_point now = Clock::now();
+  // From the back, so that erasing one does not move those that follow in the loop.
+  for (std::size_t i = waiting_.size(); i-- > 0;) {
+    if (decide(waiting_[i], items[i + 2].revents != 0, now)) {
+      waiting_.erase(waiting_.begin() + static_cast<std::ptrdiff_t>(i));
+    }
+  }
+  if (items[1].revents != 0) accept_connections(now);
+  return true;
 }
 
 void Doorkeeper::accept_connections(Clock::time_point now) {

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <poll.h>
+
 #include <chrono>
 #include <functional>
 #include <memory>
@@ -69,6 +71,8 @@ class Doorkeeper {
 
   Doorkeeper(Descriptor listener, std::string endpoint);
   void run();
+  /// Waits for connections and serves them; returns false if the thread must end. items: memory that is used again.
+  bool serve(std::vector<pollfd>& items);
   /// Accepts every connection that the kernel has ready. If the process is out of descriptors, it stops polling the
   /// listener for kAcceptPause, because poll would return at once again and again.
   void accept_connections(std::chrono::steady_clock::time_point now);

@@ -26,6 +26,13 @@ class UnreadableRequest final : public grpc::experimental::Interceptor {
     if (call->QueryInterceptionHookPoint(InterceptionHookPoints::POST_RECV_MESSAGE)) {
       unreadable_ = call->GetRecvMessage() == nullptr;
     }
+    // gRPC's answer to an exception in a call. Ours throw none but for lack of memory.
+    if (call->QueryInterceptionHookPoint(InterceptionHookPoints::PRE_SEND_STATUS) &&
+        call->GetSendStatus().error_code() == grpc::StatusCode::UNKNOWN) {
+      call->ModifySendStatus(to_status(
+          {ErrorCode::kResourceExhausted,
+           fmt::format("{}: the server has no memory for this call; unload a scene, or ask for less", method_)}));
+    }
     if (unreadable_ && call->QueryInterceptionHookPoint(InterceptionHookPoints::PRE_SEND_STATUS) &&
         call->GetSendStatus().error_code() == grpc::StatusCode::INTERNAL) {
       call->ModifySendStatus(to_status(

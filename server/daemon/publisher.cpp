@@ -4,6 +4,7 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
+#include <new>
 #include <set>
 #include <utility>
 
@@ -48,23 +49,33 @@ Publisher::~Publisher() {
 void Publisher::run() {
   while (true) {
     const bool last = stop_;
-    follow_registry();
-    if (last) return;
-    for (auto& [name, scene] : scenes_) publish_feedback(scene);
-    for (auto& [name, scene] : scenes_) {
-      const control::RunnerPtr runner = scene.runner.lock();
-      if (runner == nullptr) continue;
-      const bool has_frame = runner->take_frame(frame_);
-      if (has_frame) bus_.publish(scene.frame_key, frame_);
-      if (runner->take_status(status_)) {
-        bus_.publish(scene.status_key, status_, {.retain = true});
-        log_recovery(name, scene);
-      }
-      if (!has_frame) continue;
-      // Sending a large frame takes long; forces that arrived meanwhile go before the next frame.
-      for (auto& [other_name, other] : scenes_) publish_feedback(other);
+    try {
+      follow_registry();
+      if (!last) publish_news();
+    } catch (const std::bad_alloc&) {
+      // What could not be sent is dropped, as for a slow reader. Scenes that were not started yet are started next
+      // time.
+      generation_ = 0;
     }
+    if (last) return;
     wake_up_.wait(kIdleWakeUpMs);
+  }
+}
+
+void Publisher::publish_news() {
+  for (auto& [name, scene] : scenes_) publish_feedback(scene);
+  for (auto& [name, scene] : scenes_) {
+    const control::RunnerPtr runner = scene.runner.lock();
+    if (runner == nullptr) continue;
+    const bool has_frame = runner->take_frame(frame_);
+    if (has_frame) bus_.publish(scene.frame_key, frame_);
+    if (runner->take_status(status_)) {
+      bus_.publish(scene.status_key, status_, {.retain = true});
+      log_recovery(name, scene);
+    }
+    if (!has_frame) continue;
+    // Sending a large frame takes long; forces that arrived meanwhile go before the next frame.
+    for (auto& [other_name, other] : scenes_) publish_feedback(other);
   }
 }
 

@@ -80,6 +80,8 @@ class Publisher {
   };
 
   void run();
+  /// Publishes what the mailboxes have, feedback first.
+  void publish_news();
   /// Starts and ends scenes until `scenes_` has those of the registry. Cheap if the registry has not changed.
   void follow_registry();
   /// Publishes the topology and prepares the keys.

@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <future>
 #include <numbers>
 #include <numeric>
-#include <thread>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -193,8 +193,8 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
     return fmt::format("element {} of body '{}' (nodes {})", element, body, fmt::join(nodes, ", "));
   };
 
-  Finding duplicates;  // runs in parallel to the loop below: the two take about as long
-  std::jthread searching([&] { duplicates = find_duplicates(mesh, body); });
+  // In parallel to the loop below: the two take about as long.
+  auto searching = std::async(std::launch::async, [&] { return find_duplicates(mesh, body); });
   for_each_element(mesh, [&](std::uint32_t element, const Topology& shape, Nodes nodes) {
     for (const std::uint32_t node : nodes) {
       used[node] = true;
@@ -243,7 +243,7 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
       isolated.add([&] { return fmt::format("node {} of body '{}' belongs to no element", node, body); });
     }
   }
-  searching.join();
+  const Finding duplicates = searching.get();
   Conformity conformity;
   const Finding* const element_errors[] = {&repeated, &flat, &inverted, &folded, &bent, &duplicates};
   if (std::all_of(std::begin(element_errors), std::end(element_errors),

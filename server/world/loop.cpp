@@ -207,8 +207,13 @@ void Loop::stop_with_fault(std::string reason) {
 /// Stops this scene after its device failed; other scenes go on. Its state on the device cannot be trusted any more.
 void Loop::stop_for_device(const std::exception& failure) {
   device_failed_ = true;
-  stop_with_fault(fmt::format("the device failed in step {}: {}. Unload the scene and load it again",
-                              world_->step_count() + 1, failure.what()));
+  std::string reason = "device failed";  // short enough to need no memory
+  try {
+    reason = fmt::format("the device failed in step {}: {}. Unload the scene and load it again",
+                         world_->step_count() + 1, failure.what());
+  } catch (const std::bad_alloc&) {
+  }
+  stop_with_fault(std::move(reason));
 }
 
 // -- commands ---------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@
 #include <future>
 #include <memory>
 #include <mutex>
+#include <new>
 #include <optional>
 #include <string_view>
 #include <thread>
@@ -77,6 +78,11 @@ class Loop {
   /// runs, the scene stops and `call` returns kUnavailable.
   template <class Command>
   auto call(Command command) -> decltype(command());
+  /// The same for a command that changes nothing: without memory it fails with kResourceExhausted, and the scene goes
+  /// on.
+  template <class Command>
+  auto read(Command command) -> decltype(command());
+
   const model::Model& model() const { return model_; }
   const LoopStatus& status() const { return status_; }
   Result<const model::BodyModel*> find_body(std::string_view name) const;
@@ -183,6 +189,17 @@ class Loop {
 
   std::thread thread_;  // last: uses all of the above
 };
+
+template <class Command>
+auto Loop::read(Command command) -> decltype(command()) {
+  return call([command]() -> decltype(command()) {
+    try {
+      return command();
+    } catch (const std::bad_alloc&) {
+      return fail(ErrorCode::kResourceExhausted, "the server has no memory for the answer; the scene goes on");
+    }
+  });
+}
 
 template <class Command>
 auto Loop::call(Command command) -> decltype(command()) {

@@ -75,6 +75,13 @@ struct Runner::Impl {
     return held->call([&] { return command(*held); });
   }
 
+  /// The same for a command that changes nothing.
+  template <class Command>
+  auto read(const Command& command) {
+    const HeldLoop held(*this);
+    return held->read([&] { return command(*held); });
+  }
+
   Result<void> replace_loop(const v1::SceneAdjustments& wanted);
 
   const v1::SceneReport report;
@@ -142,15 +149,15 @@ v1::SceneStatus Runner::status() const { return impl_->loop()->status().make(); 
 void Runner::cancel() { impl_->loop()->cancel(); }
 
 Result<v1::Frame> Runner::frame() {
-  return impl_->call([this](Loop& loop) { return loop.do_frame(impl_->topology.version()); });
+  return impl_->read([this](Loop& loop) { return loop.do_frame(impl_->topology.version()); });
 }
 Result<v1::GetPositionsResponse> Runner::positions(std::string_view body) {
-  return impl_->call([body](Loop& loop) { return loop.do_positions(body); });
+  return impl_->read([body](Loop& loop) { return loop.do_positions(body); });
 }
 Result<v1::GetFieldsResponse> Runner::fields(const v1::GetFieldsRequest& request) {
   const std::shared_ptr<Loop> loop = impl_->loop();
   TM_ASSIGN_OR_RETURN(body, loop->find_body(request.body()));
-  TM_ASSIGN_OR_RETURN(source, loop->call([&] { return loop->do_copy_state(); }));
+  TM_ASSIGN_OR_RETURN(source, loop->read([&] { return loop->do_copy_state(); }));
   TM_ASSIGN_OR_RETURN(response, measure_fields(loop->model(), source.state, source.simulated_time_s, *body, request));
   response.set_step(source.step);
   response.set_simulated_time_s(source.simulated_time_s);
@@ -158,7 +165,7 @@ Result<v1::GetFieldsResponse> Runner::fields(const v1::GetFieldsRequest& request
 }
 Result<v1::ToolFeedback> Runner::feedback(std::string_view tool) const {
   TM_ASSIGN_OR_RETURN(index, impl_->find_tool(tool));
-  return impl_->call([i = index](Loop& loop) { return loop.do_feedback(i); });
+  return impl_->read([i = index](Loop& loop) { return loop.do_feedback(i); });
 }
 
 Result<StartedRecording> Runner::record(const RecordingOptions& options) {
@@ -190,7 +197,7 @@ Result<v1::ReplaySceneResponse> Runner::replay(const v1::ReplaySceneRequest& req
 }
 Result<v1::SnapshotSceneResponse> Runner::snapshot() {
   const Impl::HeldLoop loop(*impl_);
-  TM_ASSIGN_OR_RETURN(state, loop->call([&] { return loop->do_save(); }));
+  TM_ASSIGN_OR_RETURN(state, loop->read([&] { return loop->do_save(); }));
   v1::SnapshotSceneResponse response;
   response.set_step(state.world.step_count);
   response.set_snapshot(write_snapshot(loop->model(), impl_->scene_hash, state));
@@ -200,7 +207,7 @@ Result<v1::SceneStatus> Runner::restore(std::string_view snapshot) {
   const Impl::HeldLoop loop(*impl_);
   // The scene's own arrays have the sizes that the snapshot must have. A scene whose device failed has none to compare
   // with.
-  TM_ASSIGN_OR_RETURN(present, loop->call([&] { return loop->do_save(); }));
+  TM_ASSIGN_OR_RETURN(present, loop->read([&] { return loop->do_save(); }));
   TM_ASSIGN_OR_RETURN(state, read_snapshot(loop->model(), impl_->scene_hash, present.world.history, snapshot));
   return loop->call([&] { return loop->do_restore(state); });
 }

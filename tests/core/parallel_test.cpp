@@ -32,6 +32,19 @@ TEST_P(Parallel, RangesCoverEachIndexOnceAndOnlyTheLastIsShorter) {
   }
 }
 
+TEST_P(Parallel, PassesOnWhatACallThrows) {
+  if (GetParam() == 0) GTEST_SKIP() << "no call";
+  std::atomic<std::size_t> calls{0};
+  EXPECT_THROW(parallel_for(GetParam(),
+                            [&](std::size_t i) {
+                              ++calls;
+                              if (i == GetParam() / 2) throw std::bad_alloc();
+                            }),
+               std::bad_alloc);
+  EXPECT_GE(calls, 1u);
+  EXPECT_LE(calls, GetParam());
+}
+
 INSTANTIATE_TEST_SUITE_P(Counts, Parallel, testing::Values(0, 1, 3, 4, 5, 257));
 
 }  // namespace

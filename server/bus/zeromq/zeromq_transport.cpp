@@ -11,6 +11,7 @@
 #include <chrono>
 #include <cstdint>
 #include <cstring>
+#include <new>
 #include <string>
 #include <utility>
 
@@ -255,12 +256,16 @@ void ZeroMqTransport::receive_loop() {
       eventfd_t count;
       eventfd_read(wake_event_, &count);
     }
-    if (poses.revents != 0) receive_poses();
-    count_handshakes(poses_monitor_);
-    if (!time_is_up && subscribed.revents == 0 && connected.revents == 0 && wake.revents == 0) continue;
-    const std::lock_guard lock(mutex_);
-    serve_subscriptions();
-    count_handshakes(publisher_monitor_);
+    try {
+      if (poses.revents != 0) receive_poses();
+      count_handshakes(poses_monitor_);
+      if (!time_is_up && subscribed.revents == 0 && connected.revents == 0 && wake.revents == 0) continue;
+      const std::lock_guard lock(mutex_);
+      serve_subscriptions();
+      count_handshakes(publisher_monitor_);
+    } catch (const std::bad_alloc&) {
+      // What could not be served is dropped; the thread must go on.
+    }
   }
 }
 

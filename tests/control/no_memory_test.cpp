@@ -1,0 +1,157 @@
+#include <algorithm>
+#include <atomic>
+#include <cstdlib>
+#include <new>
+#include <string>
+
+#include <gtest/gtest.h>
+
+#include "control/scene_registry.h"
+#include "support/eventually.h"
+#include "support/scenes.h"
+
+/// A call whose n-th large allocation fails is refused, for every n, and other scenes step on. This program replaces
+/// operator new, in every thread.
+///
+/// Small allocations do not fail here: a message of protobuf 3.21 whose new element finds no memory destroys one that
+/// it does not have.
+namespace {
+
+/// Allocations of at least kLarge bytes until one fails; 0 or less: none does.
+std::atomic<long> countdown{0};
+constexpr std::size_t kLarge = 1024;
+
+void* taken(std::size_t size, std::size_t alignment) noexcept {
+  if (size >= kLarge && countdown.load(std::memory_order_relaxed) > 0 && countdown.fetch_sub(1) == 1) return nullptr;
+  const std::size_t rounded = (std::max<std::size_t>(size, 1) + alignment - 1) / alignment * alignment;
+  return std::aligned_alloc(alignment, rounded);
+}
+void* taken_or_thrown(std::size_t size, std::size_t alignment) {
+  if (void* memory = taken(size, alignment)) return memory;
+  throw std::bad_alloc();
+}
+constexpr std::size_t kUsual = __STDCPP_DEFAULT_NEW_ALIGNMENT__;
+
+}  // namespace
+
+void* operator new(std::size_t size) { return taken_or_thrown(size, kUsual); }
+void* operator new[](std::size_t size) { return taken_or_thrown(size, kUsual); }
+void* operator new(std::size_t size, std::align_val_t alignment) {
+  return taken_or_thrown(size, static_cast<std::size_t>(alignment));
+}
+void* operator new[](std::size_t size, std::align_val_t alignment) {
+  return taken_or_thrown(size, static_cast<std::size_t>(alignment));
+}
+void* operator new(std::size_t size, const std::nothrow_t&) noexcept { return taken(size, kUsual); }
+void* operator new[](std::size_t size, const std::nothrow_t&) noexcept { return taken(size, kUsual); }
+void* operator new(std::size_t size, std::align_val_t alignment, const std::nothrow_t&) noexcept {
+  return taken(size, static_cast<std::size_t>(alignment));
+}
+void* operator new[](std::size_t size, std::align_val_t alignment, const std::nothrow_t&) noexcept {
+  return taken(size, static_cast<std::size_t>(alignment));
+}
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete[](void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::align_val_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+void operator delete(void* memory, const std::nothrow_t&) noexcept { std::free(memory); }
+void operator delete[](void* memory, const std::nothrow_t&) noexcept { std::free(memory); }
+
+namespace tensormass::control {
+namespace {
+
+constexpr world::RunnerOptions kCpu{.backend = world::BackendChoice::kCpu, .cpu_threads = 1};
+
+class NoMemory : public testing::Test {
+ protected:
+  void SetUp() override {
+    v1::Scene running = scene("other");
+    running.mutable_stepping()->set_lockstep(false);
+    ASSERT_TRUE(registry.load(running));
+  }
+  void TearDown() override {
+    const auto other = registry.find("other");
+    ASSERT_TRUE(other);
+    const std::uint64_t step = (*other)->status().step();
+    EXPECT_TRUE(tests::eventually([&] { return (*other)->status().step() > step; }, std::chrono::seconds(60)));
+  }
+  static v1::Scene scene(const std::string& name) {
+    v1::Scene scene = tests::block_with_probe(false, 6);
+    scene.set_name(name);
+    return scene;
+  }
+  /// Calls `call` again and again; in the n-th call the n-th allocation fails. Ends with the call that had all its
+  /// memory, and returns the number of calls. after: called after each call.
+  template <class Call, class After>
+  static long fail_each(const Call& call, const After& after) {
+    for (long n = 1;; ++n) {
+      countdown = n;
+      try {
+        call();
+      } catch (const std::bad_alloc&) {
+        // gRPC answers the call; unreadable_request.h says how.
+      }
+      const bool failed = countdown.exchange(0) <= 0;
+      after(failed);
+      if (!failed || testing::Test::HasFailure()) return n;
+    }
+  }
+
+  SceneRegistry registry{kCpu, [] {}};
+};
+
+TEST_F(NoMemory, ALoadIsRefusedAndItsNameIsFree) {
+  const v1::Scene tiny = scene("tiny");
+  const long calls = fail_each([&] { (void)registry.load(tiny); },
+                               [&](bool failed) {
+                                 const bool loaded = static_cast<bool>(registry.find("tiny"));
+                                 EXPECT_TRUE(loaded || failed);
+                                 EXPECT_TRUE(!loaded || registry.unload("tiny"));
+                                 EXPECT_EQ(registry.list().size(), 1u);
+                               });
+  EXPECT_GT(calls, 50);
+  EXPECT_TRUE(registry.load(tiny));
+}
+
+TEST_F(NoMemory, ACallThatReadsLeavesItsSceneAsItWas) {
+  const auto runner = registry.load(scene("tiny"));
+  ASSERT_TRUE(runner);
+  ASSERT_TRUE((*runner)->step(3));
+  const auto before = (*runner)->snapshot();
+  ASSERT_TRUE(before);
+  const auto unharmed = [&](bool) { ASSERT_EQ((*runner)->status().state(), v1::SceneStatus::STATE_LOCKSTEP); };
+  EXPECT_GT(fail_each([&] { (void)(*runner)->snapshot(); }, unharmed), 5);
+  fail_each([&] { (void)(*runner)->status(); }, unharmed);
+  fail_each([&] { (void)(*runner)->frame(); }, unharmed);
+  fail_each([&] { (void)(*runner)->feedback("probe"); }, unharmed);
+  fail_each([&] { (void)(*runner)->positions("block"); }, unharmed);
+  EXPECT_EQ((*runner)->snapshot()->snapshot(), before->snapshot());
+}
+
+TEST_F(NoMemory, AMessageIsNotParsed) {
+  v1::LoadSceneRequest request;
+  *request.mutable_scene() = scene("tiny");
+  const std::string bytes = request.SerializeAsString();
+  fail_each(
+      [&] {
+        v1::LoadSceneRequest parsed;
+        EXPECT_TRUE(parsed.ParseFromString(bytes));
+      },
+      [](bool) {});
+}
+
+TEST_F(NoMemory, APoseIsDropped) {
+  const auto runner = registry.load(scene("tiny"));
+  ASSERT_TRUE(runner);
+  v1::ToolPose pose;
+  pose.mutable_position_m()->set_y(0.1);
+  fail_each([&] { (void)(*runner)->submit_pose("probe", pose); }, [](bool) {});
+  ASSERT_TRUE((*runner)->step(1));
+}
+
+}  // namespace
+}  // namespace tensormass::control
