@@ -52,7 +52,11 @@ def _scene(elements: int | None, fields: list[str]) -> tm.Scene:
     blocks = [(block.shape.name, block.nodes) for block in mesh.blocks]
     mesh = tm.VolumeMesh.from_arrays(mesh.nodes, blocks, element_fields=values)
     scene = tm.Scene.from_mesh(
-        mesh, name="block", gravity_m_per_s2=(0.0, -9.81, 0.0), fixed_nodes=mesh.nodes[:, 0] == 0.0
+        mesh,
+        name="block",
+        law="st_venant_kirchhoff",
+        gravity_m_per_s2=(0.0, -9.81, 0.0),
+        fixed_nodes=mesh.nodes[:, 0] == 0.0,
     )
     scene.message.stepping.dt_s = 1e-3
     scene.message.solver.cg_tolerance = 1e-3

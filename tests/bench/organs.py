@@ -28,6 +28,7 @@ def organ_scene(name: str, mesh: VolumeMesh) -> Scene:
     scene = Scene.from_mesh(
         mesh,
         name=name,
+        law="st_venant_kirchhoff",
         young_modulus_pa=2e4,
         poisson_ratio=0.4,
         gravity_m_per_s2=(0.0, 0.0, -9.81),

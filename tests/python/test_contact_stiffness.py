@@ -107,3 +107,23 @@ def test_inspect_says_how_stiff_contact_is(server: tm.Server) -> None:
 
 def test_a_report_without_contacts_has_no_table() -> None:
     assert "pressure per depth" not in report_text(control_pb2.SceneReport(), block().message)
+
+
+@pytest.mark.parametrize("law", [None, "st_venant_kirchhoff"])
+def test_the_default_law_stands_a_press_of_8_mm(server: tm.Server, law: str | None) -> None:
+    block = tm.grid([8, 8, 4], [0.1, 0.1, 0.05])
+    options: dict[str, Any] = {} if law is None else {"law": law}
+    scene = tm.Scene.from_mesh(block, **options, fixed_nodes=block.nodes[:, 2] < 1e-9)
+    scene.add_tool("probe", "spherical_probe", radius_m=0.01, position_m=(0.05, 0.05, 0.07))
+    with server.load(scene, lockstep=True) as handle:
+        for step in range(240):
+            handle.move_tool("probe", (0.05, 0.05, 0.06 - 0.008 * min(1.0, step / 120)))
+            handle.step()
+        status = handle.status()
+        force_n = handle.feedback("probe").force_n
+    softens = any("gets softer where it is pressed" in warning for warning in status.warnings)
+    assert softens == (law is not None)
+    if law is None:
+        assert list(status.warnings) == []
+        assert status.min_det_f > 0.5
+        assert np.linalg.norm(force_n) > 0.5

@@ -82,7 +82,7 @@ def test_a_scene_shows_bodies_tools_and_gravity(scene: tm.Scene) -> None:
     rows = rows_of(scene)
     assert rows[0] == ["scene scene"]
     nodes = "12 nodes, 12 × tetrahedron"
-    law = "st_venant_kirchhoff: young_modulus_pa 4000 Pa, poisson_ratio 0.45"
+    law = "stable_neo_hookean: young_modulus_pa 4000 Pa, poisson_ratio 0.45"
     assert ["muscle", nodes, law, "1060 kg/m³", "fixed: 1"] in rows
     assert ["probe", "spherical probe", "(0, 0, 0.2) m", "with its pose"] in rows
     assert ["gravity", "(0, 0, -9.81) m/s²"] in rows

@@ -12,6 +12,8 @@ from tensormass._src.vectors import Vector, vector3
 from tensormass.v1 import scene_pb2
 
 LAWS = tuple(field.name for field in scene_pb2.Law.DESCRIPTOR.oneofs_by_name["kind"].fields)
+#: Law of a body that names none. St-Venant-Kirchhoff softens in compression, so that a press of 8 mm can end a scene.
+DEFAULT_LAW = "stable_neo_hookean"
 LIVER = {"young_modulus_pa": 4000.0, "poisson_ratio": 0.45}
 
 

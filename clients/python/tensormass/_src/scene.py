@@ -14,7 +14,7 @@ from tensormass._src.elastic_constants import young_poisson
 from tensormass._src.enums import enum_number
 from tensormass._src.errors import InvalidArgumentError, MeshFileWarning, naming
 from tensormass._src.files import read_bytes
-from tensormass._src.laws import LAWS, LIVER, law_message
+from tensormass._src.laws import DEFAULT_LAW, LAWS, LIVER, law_message
 from tensormass._src.names import as_name, suggestion
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
 from tensormass._src.scene_file import SceneFile, is_mesh_file
@@ -124,7 +124,7 @@ class Scene:
         name: str,
         mesh: meshes.VolumeMesh,
         *,
-        law: str = "st_venant_kirchhoff",
+        law: str = DEFAULT_LAW,
         constants: Mapping[str, float | Vector] | None = None,
         young_modulus_pa: float | None = None,
         poisson_ratio: float | None = None,
@@ -145,7 +145,7 @@ class Scene:
 
         Args:
             mesh: elements in m; its named sets and element fields become those of the body.
-            law: one of `LAWS`.
+            law: one of `LAWS`. The default stands an ordinary press. Scene files and messages name their law.
             constants: of the law, by name: `{"c10_pa": 2000, "c01_pa": 500, "bulk_modulus_pa": 1e6}`.
             young_modulus_pa: a constant of many laws; default 4 kPa if `constants` is not given.
             poisson_ratio: likewise; default 0.45 if `constants` is not given.
