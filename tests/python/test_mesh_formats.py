@@ -204,6 +204,18 @@ def test_included_files_are_beside_the_file(tmp_path: Path) -> None:
             read(tmp_path, "m.inp", f"*INCLUDE, INPUT={name}\n" + elements)
 
 
+def test_included_files_may_hold_data_lines_alone(tmp_path: Path) -> None:
+    (tmp_path / "nodes.dat").write_text("** by hand\n" + texts.abaqus_nodes(texts.POINTS[:4]))
+    (tmp_path / "set.dat").write_text("1, 2\n")
+    text = "\ufeff*HEADING\nBOM\n*NODE\n*INCLUDE, INPUT=nodes.dat\n" + texts.abaqus_nodes(texts.POINTS[4:8], 5)
+    text += f"*ELEMENT, TYPE=C3D4\n{texts.abaqus_elements()}*NSET, NSET=a\n8,\n*INCLUDE, INPUT=set.dat\n3\n"
+    mesh = read(tmp_path, "m.inp", text.replace("\n", "\r\n"))
+    assert texts.volume(mesh) == pytest.approx(1)
+    assert sets_of(mesh) == {"a": [0, 1, 2, 7]}
+    with pytest.raises(InvalidArgumentError, match=r"m\.inp:2: expected a keyword such as \*NODE"):
+        read(tmp_path, "m.inp", "\n1, 2, 3\n" + text)
+
+
 def test_a_deck_has_nodes_in_several_places(tmp_path: Path) -> None:
     text = f"*NODE\n{texts.abaqus_nodes(texts.POINTS[:4])}** and\n*NODE, NSET=upper\n"
     text += texts.abaqus_nodes(texts.POINTS[4:8], 5) + f"*ELEMENT, TYPE=C3D4\n{texts.abaqus_elements()}"

@@ -105,7 +105,7 @@ def _read(kind: str, path: Path) -> tuple[list[str], list[tuple[list[str], npt.N
             raise InvalidArgumentError(f"{path}: {_why_ended(process, late.is_set(), limit_s)}")
         if "error" in head:
             raise InvalidArgumentError(str(head["error"]))
-        most = max(limits.MEMORY_FLOOR, limits.MEMORY_FACTOR * size)
+        most = max(limits.MEMORY_FLOOR, limits.MAX_EXPANSION * size)
         return list(head["notes"]), list(_arrays(process.stdout, head["arrays"], most, path))
     finally:
         timer.cancel()

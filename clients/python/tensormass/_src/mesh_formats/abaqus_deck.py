@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,9 @@ from tensormass._src.mesh_formats.text import Text, shown
 #: Files that include each other, and all included files.
 _MAX_DEPTH = 10
 _MAX_INCLUDED = 1000
+# Keywords whose data lines are read.
+_WITH_DATA = ("NODE", "ELEMENT", "NSET", "ELSET")
+_BOM = b"\xef\xbb\xbf"
 _STAR = re.compile(rb"\n[ \t]*\*")
 _EMPTY_FIELD = re.compile(rb",[ \t]*,|\n[ \t]*,")
 _LETTER = re.compile(rb"[A-Za-z_]")
@@ -94,20 +97,32 @@ class Deck:
         self._included = 0
 
     def keywords(self) -> Iterator[Keyword]:
-        return self._of(self._path, 0)
+        """Yields keywords in their order. Data lines of an included file belong to the keyword before *INCLUDE: they
+        come as a second keyword of that name."""
+        before: Keyword | None = None
+        for keyword in self._of(self._path, 0):
+            if keyword.name:
+                before = keyword
+                yield keyword
+            elif before is None or before.name not in _WITH_DATA:
+                at = next((at for at, _ in keyword.lines()), 0)
+                where = keyword.text.where(at)
+                raise FormatError(f"{where}: expected a keyword such as *NODE or *ELEMENT before this line")
+            else:
+                yield replace(keyword, name=before.name, parameters=before.parameters)
 
     def _of(self, path: Path, depth: int) -> Iterator[Keyword]:
         text = Text(path, commas=True)
         data = text.data
-        at = 0
-        if not data[:1].strip().startswith(b"*"):
-            match = _STAR.search(data)
-            if match is None:
-                if depth and data[:].strip():
-                    raise FormatError(f"{text.where(0)}: the included file has no keyword (*NODE, *ELEMENT ...)")
-                return
-            at = match.start() + 1
-        keyword: Keyword | None = None
+        first = len(_BOM) if data[: len(_BOM)] == _BOM else 0
+        at = first
+        while at < len(data) and data[at] in b" \t":
+            at += 1
+        if data[at : at + 1] != b"*":
+            match = _STAR.search(data, first)
+            at = match.start() + 1 if match else len(data)
+        # What comes before the first keyword belongs to the file that includes this one.
+        keyword = Keyword("", {}, text, first, [(first, at)])
         while at < len(data):
             line_end = data.find(b"\n", at)
             line_end = len(data) if line_end < 0 else line_end
@@ -115,15 +130,13 @@ class Deck:
             following = _STAR.search(data, line_end) if line_end < len(data) else None
             end = following.start() + 1 if following else len(data)
             if line.startswith(b"**"):
-                if keyword is not None and line_end + 1 < end:
+                if line_end + 1 < end:
                     keyword.spans.append((line_end + 1, end))
             else:
-                if keyword is not None:
-                    yield from self._expanded(keyword, depth)
+                yield from self._expanded(keyword, depth)
                 keyword = self._keyword(text, at, line, line_end, end)
             at = end
-        if keyword is not None:
-            yield from self._expanded(keyword, depth)
+        yield from self._expanded(keyword, depth)
 
     def _keyword(self, text: Text, at: int, line: bytes, line_end: int, end: int) -> Keyword:
         # A line that ends with a comma goes on in the next one.
@@ -144,8 +157,10 @@ class Deck:
     def _expanded(self, keyword: Keyword, depth: int) -> Iterator[Keyword]:
         if keyword.name == "INCLUDE":
             yield from self._of(self._file_of(keyword, depth), depth + 1)
+            keyword = replace(keyword, name="")  # data lines go on after it
+        if not keyword.name and not keyword.has_data():
             return
-        if keyword.name in ("NODE", "ELEMENT", "NSET", "ELSET") and "INPUT" in keyword.parameters:
+        if keyword.name in _WITH_DATA and "INPUT" in keyword.parameters:
             text = Text(self._file_of(keyword, depth), commas=True)
             keyword.text, keyword.at, keyword.spans = text, 0, [(0, len(text.data))]
         yield keyword

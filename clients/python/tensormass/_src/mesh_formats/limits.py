@@ -9,6 +9,8 @@ from pathlib import Path
 MEMORY_FACTOR = 4
 #: ... and in any case [bytes].
 MEMORY_FLOOR = 256 << 20
+#: Compressed data count with their full size, up to this multiple of their file's.
+MAX_EXPANSION = 16
 #: Time that a reader may take in any case [s], and for each byte of the file.
 TIME_FLOOR_S = 60.0
 TIME_PER_BYTE_S = 2e-6
@@ -26,9 +28,14 @@ def limit_memory(path: Path) -> None:
 
 def allow_file(path: Path) -> None:
     """Allows the memory for a further file that belongs to the first one. Without a limit, nothing changes."""
+    allow(MEMORY_FACTOR * path.stat().st_size)
+
+
+def allow(size: int) -> None:
+    """Allows further memory [bytes]. Without a limit, nothing changes."""
     soft, _ = resource.getrlimit(resource.RLIMIT_DATA)
     if soft != resource.RLIM_INFINITY:
-        _set(soft + MEMORY_FACTOR * path.stat().st_size)
+        _set(soft + size)
 
 
 def _set(size: int) -> None:

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._src.mesh_formats import limits
 from tensormass._src.mesh_formats.finish import sets_from_data
 from tensormass._src.mesh_formats.kinds import ELEMENT_FIELDS, FIELD_ALIASES, SET_PREFIX
 from tensormass._src.mesh_formats.raw import Block, FormatError, Ints, Raw
@@ -45,6 +46,7 @@ class _Reader:
             size = file.seek(0, 2)
             self._data: mmap.mmap | bytes = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
         self._root, self._appended_at = self._parsed()
+        self._expanded = 0
         root = self._root
         if root.tag != "VTKFile" or root.get("type") not in _KINDS:
             raise FormatError(
@@ -258,7 +260,20 @@ class _Reader:
             raise FormatError(f"{where} has a block of {max(packed)} bytes, more than the file has; it is damaged")
         if sum(sizes) % dtype.itemsize:
             raise FormatError(f"{where} has {sum(sizes)} bytes, not whole numbers of {dtype.itemsize}; it is damaged")
-        return np.frombuffer(b"".join(self._blocks(at, packed, sizes, width, where)), dtype)
+        self._expanded += sum(sizes)
+        most = limits.MAX_EXPANSION * len(self._data)
+        if self._expanded > max(most, limits.MEMORY_FLOOR):
+            raise FormatError(
+                f"{where} expands to {sum(sizes)} bytes, beyond the limit for the file's size; it is damaged"
+            )
+        if self._expanded <= most:
+            limits.allow(sum(sizes))
+        out = np.empty(sum(sizes), np.uint8)
+        first = 0
+        for block in self._blocks(at, packed, sizes, width, where):
+            out[first : first + len(block)] = np.frombuffer(block, np.uint8)
+            first += len(block)
+        return out.view(dtype)
 
     def _blocks(
         self, at: Callable[[int, int], bytes], packed: list[int], sizes: list[int], width: int, where: str
