@@ -9,6 +9,7 @@
 
 #include "control/control_service.h"
 #include "control/doorkeeper.h"
+#include "control/relay.h"
 #include "control/unreadable_request.h"
 #include "core/control_limits.h"
 #include "core/limits.h"
@@ -29,13 +30,14 @@ struct ControlServer::Parts {
   ControlService service;
   std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> acceptor = nullptr;
   std::unique_ptr<grpc::Server> server = nullptr;
+  std::unique_ptr<Relay> relay = nullptr;
   std::unique_ptr<Doorkeeper> doorkeeper = nullptr;
 };
 
 Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& address, SceneRegistry& registry,
                                                             const v1::GetVersionResponse& identity,
                                                             std::function<std::uint64_t()> malformed_count,
-                                                            std::function<void()> on_refused) {
+                                                            std::function<void(std::string_view why)> on_refused) {
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   TM_ASSIGN_OR_RETURN(doorkeeper, Doorkeeper::listen(address));
@@ -58,7 +60,9 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
     connection.fd = descriptor;
     acceptor->HandleNewConnection(&connection);
   };
-  parts->doorkeeper->open(admit, std::move(on_refused));
+  parts->relay = std::make_unique<Relay>(admit, on_refused);
+  parts->doorkeeper->open([relay = parts->relay.get()](int descriptor) { relay->add(descriptor); },
+                          [on_refused] { on_refused("a peer that does not speak HTTP/2"); });
   return std::unique_ptr<ControlServer>(new ControlServer(std::move(parts)));
 }
 

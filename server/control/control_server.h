@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <string_view>
 
 #include "control/scene_registry.h"
 #include "core/result.h"
@@ -16,8 +17,9 @@ namespace tensormass::control {
 
 /// The gRPC server on its port: the control service, gRPC's health service and its reflection service.
 ///
-///     client ──> Doorkeeper's thread ──admit──> gRPC ──> a gRPC thread per running call ──> ControlService
-///                     └─ not HTTP/2 ──> on_refused()
+///     client ──> Doorkeeper ──admit──> Relay ──> gRPC ──> a gRPC thread per running call ──> ControlService
+///                     │                  └─ beyond a limit of HTTP/2 ──> on_refused(why)
+///                     └─ not HTTP/2 ──> on_refused(why)
 ///
 /// A running call occupies one of gRPC's threads. Calls beyond limits::kMaxControlThreads fail with
 /// RESOURCE_EXHAUSTED; long ones before that (call_share.h).
@@ -27,12 +29,13 @@ class ControlServer {
   /// `identity`. Fails with kUnavailable if the address cannot be listened on.
   ///
   ///   malformed_count()   returns what GetVersion adds to `identity`; called on gRPC's threads
-  ///   on_refused()        called for each connection that does not speak HTTP/2, on the doorkeeper's thread; it must
-  ///                       not block
+  ///   on_refused(why)     called for each connection that does not speak HTTP/2, or that passes a limit, on the
+  ///   threads
+  ///                       of doorkeeper and relay; it must not block
   static Result<std::unique_ptr<ControlServer>> start(const std::string& address, SceneRegistry& registry,
                                                       const v1::GetVersionResponse& identity,
                                                       std::function<std::uint64_t()> malformed_count,
-                                                      std::function<void()> on_refused);
+                                                      std::function<void(std::string_view why)> on_refused);
   /// Stops listening, waits at most kDrainTime for running calls, then cancels them.
   ~ControlServer();
 

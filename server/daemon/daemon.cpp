@@ -78,9 +78,9 @@ Result<void> Daemon::open(const Config& config) {
   identity_.set_zenoh_locator(bus_->endpoints().zenoh_locator);
 
   publisher_.emplace(registry_, *bus_, config.server_name, wake_up_);
-  const auto on_refused = [this] {
+  const auto on_refused = [this](std::string_view why) {
     ++refused_connections_;
-    note_malformed({}, "a peer that does not speak HTTP/2, on the control endpoint");
+    note_malformed({}, fmt::format("{}, on the control endpoint; its connection was closed", why));
   };
   TM_ASSIGN_OR_RETURN(server,
                       control::ControlServer::start(

@@ -28,7 +28,8 @@ class Table:
             self._said[item.nodeid] = (marker.args[0], marker.args[1]) if marker is not None else (fault, "")
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        if report.when == "call" or not report.passed:
+        # A fixture measures after the call.
+        if report.when == "teardown" or not report.passed:
             measured = str(dict(report.user_properties).get("now", ""))
             self._now.setdefault(self._said[report.nodeid], []).append((report.outcome, measured))
 

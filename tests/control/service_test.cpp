@@ -35,7 +35,7 @@ class ServiceTest : public testing::Test {
 
   Result<std::unique_ptr<ControlServer>> start(const std::string& address) {
     return ControlServer::start(
-        address, registry, identity(), [] { return std::uint64_t{7}; }, [this] { ++refused; });
+        address, registry, identity(), [] { return std::uint64_t{7}; }, [this](std::string_view) { ++refused; });
   }
 
   static v1::GetVersionResponse identity() {

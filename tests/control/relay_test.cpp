@@ -1,0 +1,105 @@
+#include "control/relay.h"
+
+#include <poll.h>
+#include <sys/socket.h>
+
+#include <future>
+#include <string>
+
+#include <gtest/gtest.h>
+
+#include "support/eventually.h"
+
+namespace tensormass::control {
+namespace {
+
+constexpr std::string_view kPreface = "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+
+class RelayTest : public testing::Test {
+ protected:
+  RelayTest() {
+    int ends[2];
+    EXPECT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, ends), 0);
+    client = Descriptor(ends[0]);
+    relay.add(ends[1]);
+  }
+  static void wait(const Descriptor& socket, short events) {
+    pollfd item{socket.get(), events, 0};
+    ASSERT_EQ(poll(&item, 1, 20'000), 1);
+  }
+  static void send_all(const Descriptor& socket, std::string_view bytes) {
+    while (!bytes.empty()) {
+      wait(socket, POLLOUT);
+      const ssize_t size = send(socket.get(), bytes.data(), bytes.size(), MSG_NOSIGNAL);
+      if (size > 0) bytes.remove_prefix(static_cast<std::size_t>(size));
+    }
+  }
+  /// Reads `size` bytes, or until the other side ends.
+  static std::string read(const Descriptor& socket, std::size_t size) {
+    std::string out;
+    std::string part(1 << 16, '\0');
+    while (out.size() < size) {
+      wait(socket, POLLIN);
+      const ssize_t got = recv(socket.get(), part.data(), std::min(part.size(), size - out.size()), 0);
+      if (got == 0) break;
+      if (got > 0) out.append(part, 0, static_cast<std::size_t>(got));
+    }
+    return out;
+  }
+
+  Descriptor client, inner;
+  std::atomic<int> refused{0};
+  Relay relay{[this](int descriptor) { inner = Descriptor(descriptor); }, [this](std::string_view) { ++refused; }};
+};
+
+TEST_F(RelayTest, CarriesBytesBothWays) {
+  send_all(client, kPreface);
+  EXPECT_EQ(read(inner, kPreface.size()), kPreface);
+  send_all(inner, "answer");
+  EXPECT_EQ(read(client, 6), "answer");
+}
+
+TEST_F(RelayTest, CarriesMoreThanAnyBufferHoldsToASlowReader) {
+  // The server's frames, of an unknown kind.
+  std::string many;
+  while (many.size() < (8 << 20)) many += std::string("\0\x40\0\x20\0\0\0\0\0", 9) + std::string(16'384, 'x');
+  auto writes = std::async(std::launch::async, [&] { send_all(inner, many); });
+  EXPECT_EQ(writes.wait_for(std::chrono::milliseconds(50)), std::future_status::timeout) << "nobody reads";
+  EXPECT_EQ(read(client, many.size()), many);
+  writes.get();
+}
+
+TEST_F(RelayTest, PassesOnTheEndOfEitherSide) {
+  send_all(client, kPreface);
+  EXPECT_EQ(shutdown(client.get(), SHUT_WR), 0);
+  EXPECT_EQ(read(inner, 1 << 20), kPreface) << "up to the end";
+  send_all(inner, "the last answer");
+  inner = Descriptor();
+  EXPECT_EQ(read(client, 1 << 20), "the last answer");
+}
+
+TEST_F(RelayTest, ClosesAConnectionThatPassesALimit) {
+  send_all(client, kPreface);
+  std::string pings;
+  for (int i = 0; i < 2000; ++i) pings += std::string("\0\0\x08\x06\0\0\0\0\0", 9) + "12345678";
+  send(client.get(), pings.data(), pings.size(), MSG_NOSIGNAL);
+  EXPECT_TRUE(tests::eventually([&] { return refused == 1; }, std::chrono::seconds(20)));
+  EXPECT_LT(read(inner, 1 << 20).size(), pings.size()) << "and gRPC's end is closed, too";
+}
+
+TEST(Relay, RefusesMoreConnectionsThanItsLimit) {
+  std::vector<Descriptor> clients, inner;
+  int refused = 0;
+  Relay relay([&](int descriptor) { inner.emplace_back(descriptor); }, [&](std::string_view) { ++refused; });
+  for (std::size_t i = 0; i <= limits::kMaxControlConnections; ++i) {
+    int ends[2];
+    ASSERT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, ends), 0);
+    clients.emplace_back(ends[0]);
+    relay.add(ends[1]);
+  }
+  EXPECT_EQ(refused, 1);
+  EXPECT_EQ(inner.size(), limits::kMaxControlConnections);
+}
+
+}  // namespace
+}  // namespace tensormass::control
