@@ -20,6 +20,7 @@ namespace tensormass::daemon {
 ///     thread                  runs                                         waits for
 ///     gRPC, one per call      ControlService -> SceneRegistry -> Runner    the scene's loop, between two steps
 ///     doorkeeper              accept on the control port                   connections
+///     relay                   bytes between control clients and gRPC       its sockets
 ///     loop, one per scene     steps, writes mailboxes (world/loop.h)       its clock
 ///     publisher               mailboxes -> bus (publisher.h)               the loops' signal
 ///     ZeroMQ's receiver       poses -> receive_pose                        its sockets

@@ -56,6 +56,11 @@ Result<void> Loop::submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseS
   return inboxes_[tool].submit(model_.tools[tool], pose, source);
 }
 
+void Loop::know_clients_of(Loop& other) {
+  TM_ASSERT(inboxes_.size() == other.inboxes_.size(), "loops of the same scene have the same tools");
+  for (std::size_t i = 0; i < inboxes_.size(); ++i) inboxes_[i].go_on_from(other.inboxes_[i]);
+}
+
 void Loop::enqueue(std::function<void()> command) {
   {
     const std::lock_guard lock(mutex_);

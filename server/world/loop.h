@@ -87,6 +87,8 @@ class Loop {
   const LoopStatus& status() const { return status_; }
   Result<const model::BodyModel*> find_body(std::string_view name) const;
   Result<void> submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source);
+  /// Goes on from what another loop of the same scene knows of clients that send poses.
+  void know_clients_of(Loop& other);
   void count_malformed_pose() { status_.count_malformed_pose(); }
   /// Ends a `do_step` in progress after the step at hand.
   void cancel() { cancelled_.store(true, std::memory_order_relaxed); }

@@ -44,6 +44,9 @@ class PoseInbox {
   /// For the loop: the newest pose since the last call, else nullptr. Valid until the next call.
   const ReceivedPose* take() { return newest_.take(); }
 
+  /// Takes over what another inbox of the same tool knows of clients: sequences and claims. Counts start again.
+  void go_on_from(PoseInbox& other);
+
   std::uint64_t received() const { return received_.load(std::memory_order_relaxed); }
   std::uint64_t rejected() const { return rejected_.load(std::memory_order_relaxed); }
   std::uint64_t superseded() const { return superseded_.load(std::memory_order_relaxed); }

@@ -245,6 +245,7 @@ Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted) {
   if (signal) (void)next->call([&] { return next->do_set_signal(signal); });
   scene_hash = compiled.scene_hash;
   const std::lock_guard swap(present_mutex);
+  next->know_clients_of(*old);
   present = next;
   return {};
 }

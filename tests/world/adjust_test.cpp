@@ -168,6 +168,26 @@ TEST_P(Adjusting, IsRefusedWhileTheSceneIsRecorded) {
   EXPECT_TRUE(runner->adjust(stiffness(2)));
 }
 
+TEST_P(Adjusting, AHandKeepsItsToolAndItsSequence) {
+  const auto runner = load(tests::block_with_probe(false, 4));
+  v1::ToolPose hand;
+  hand.mutable_position_m()->set_y(0.1);
+  hand.set_session(5);
+  hand.set_sequence(9);
+  hand.set_valid_for_s(3600);
+  ASSERT_TRUE(runner->submit_pose("probe", hand));
+  v1::SceneAdjustments lighter;
+  lighter.mutable_gravity_m_per_s2()->set_y(-1);
+  const auto adjusted = runner->adjust(lighter);
+  ASSERT_TRUE(adjusted) << adjusted.error().message;
+  v1::ToolPose other = hand;
+  other.set_session(6);
+  EXPECT_REFUSED(runner->submit_pose("probe", other), ErrorCode::kFailedPrecondition, "claims it");
+  EXPECT_REFUSED(runner->submit_pose("probe", hand), ErrorCode::kInvalidArgument, "not newer");
+  hand.set_sequence(10);
+  EXPECT_TRUE(runner->submit_pose("probe", hand));
+}
+
 TEST_P(Adjusting, APausedSceneStaysPaused) {
   const auto runner = load(sagging_beam(false));
   ASSERT_TRUE(runner->pause());
