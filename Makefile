@@ -13,6 +13,7 @@
 #   FOLDER=name    folder of tests/ for `make test-folder`; TESTS=pattern runs only tests with such names
 #   SUITE=trixie   Debian release in which `make wheel-only` tries the wheel (default: bookworm)
 #   WHOLE=1       `make images` compiles in the bare Debian, too (CUDA=OFF: without the CUDA backend)
+#   FUZZ_ARGS=...  arguments of `make fuzz`, such as '--seconds 600 scene'
 #   TEST_ARGS=...  test runners for `make test`, as tests/run.sh names them (default: all)
 
 SHELL := bash
@@ -25,6 +26,7 @@ JOBS ?= $(shell nproc)
 SCENE ?= demo
 BACKEND ?= cpu
 RUN_ARGS ?=
+FUZZ_ARGS ?=
 TEST_ARGS ?=
 SUITE ?= bookworm
 WHOLE ?=
@@ -90,9 +92,6 @@ test-folder: setup-test ## Compile and run the C++ tests of one folder (FOLDER=w
 	@$(if $(FOLDER),,$(error which folder of tests/? for example: make test-folder FOLDER=world))
 	@$(MAKE) TARGETS=tests_$(FOLDER) native
 	@ctest --test-dir $(BUILD)/tests/$(FOLDER) -j $(JOBS) --output-on-failure --no-tests=error $(if $(TESTS),-R '$(TESTS)')
-
-fuzz: setup-test python ## Read damaged mesh files, COUNT a reader (default: 100000), from SEED on
-	@PYTHONPATH=tests/python .venv/bin/python tests/python/mesh_mutations.py --count $(COUNT) --seed $(SEED)
 
 tests: setup-test ## Compile the C++ tests
 	@$(MAKE) TARGETS=tests native
@@ -217,6 +216,10 @@ lint: setup-test python ## Check format, style and types: C++, Python, web
 format: setup-test ## Format C++ and Python
 	@clang-format -i $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
 	@cd clients/python && ruff format . ../../tests ../../examples
+
+fuzz: setup-test python ## Mutate inputs of each Python decoder and mesh files (FUZZ_ARGS, COUNT, SEED); failures: tests/fuzz/inputs
+	@cd tests && python -m fuzz $(FUZZ_ARGS)
+	@PYTHONPATH=tests/python python tests/python/mesh_mutations.py --count $(COUNT) --seed $(SEED)
 
 audit: ## Compare everything pinned with the known vulnerabilities of clients/python/advisories.json, without network
 	@python clients/python/audit.py
