@@ -223,10 +223,14 @@ install_rust() {
     "$(command -v cargo) is $(version_of cargo --version) and $(command -v rustc) is $(version_of rustc --version)"
 }
 
-# install_python_packages EXTRAS: the SDK and the packages of these extras (clients/python/pyproject.toml).
+# install_python_packages EXTRAS: the SDK and the packages of these extras (clients/python/pyproject.toml). pip takes no file
+# whose sum is not in requirements.sha256, resolves nothing and downloads nothing for the SDK itself.
 install_python_packages() {
+  local wanted="$venv/requirements-${1//,/-}.txt"
   say "installing the Python SDK and its packages into .venv ($1)"
-  pip_install --constraint "$root/clients/python/requirements.lock" --editable "$root/clients/python[$1]"
+  grep -E "# (.* )?(base|${1//,/|})( |\$)" "$root/clients/python/requirements.sha256" >"$wanted"
+  pip_install --require-hashes --no-deps --requirement "$wanted"
+  pip_install --no-deps --no-build-isolation --editable "$root/clients/python[$1]"
 }
 
 install_docs_packages() {
@@ -259,7 +263,7 @@ case $goal in
   *) cuda=$("$root/.setup/cuda.sh") ;;
 esac
 tools_inputs=$(checksum "$root/.setup/toolchain.txt" "${BASH_SOURCE[0]}")
-python_inputs=$(checksum "$root/clients/python/pyproject.toml" "$root/clients/python/requirements.lock")
+python_inputs=$(checksum "$root/clients/python/pyproject.toml" "$root/clients/python/requirements.sha256")
 
 if [[ $goal != docs ]]; then run rust-check check_rust; fi
 run debian install_debian_packages "${packages[@]}"

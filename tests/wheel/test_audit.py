@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import datetime
 import json
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ sys.path.insert(0, str(PYTHON))
 
 import audit  # noqa: E402
 import components  # noqa: E402
+import lock  # noqa: E402
 from components import Component  # noqa: E402
 
 TODAY = datetime.date(2030, 1, 31)
@@ -30,6 +33,26 @@ def test_every_lock_file_is_listed() -> None:
     cargo = [component for component in listed.values() if component.ecosystem == "cargo"]
     assert all(len(component.sha256) == 64 for component in cargo)
     assert not [name for name in listed if "tensormass" in name], "our own crate is not a package of others"
+
+
+def test_the_sums_are_those_of_the_lock_file() -> None:
+    lines = [line for line in lock.SUMS.read_text("utf-8").splitlines() if not line.startswith("#")]
+    assert lock.pinned("\n".join(lines)) == lock.pinned(lock.LOCK.read_text("utf-8")), "run clients/python/lock.py"
+    project = tomllib.loads((PYTHON / "pyproject.toml").read_text("utf-8"))["project"]
+    extras = {"base", *project["optional-dependencies"]}
+    for line in lines:
+        match = re.fullmatch(r"[\w.-]+==\S+((?: --hash=sha256:[0-9a-f]{64})+) # ([a-z ]+)", line)
+        assert match is not None, line
+        assert set(match[2].split()) <= extras
+
+
+def test_what_an_extra_needs_is_marked() -> None:
+    """As the set-up chooses: with the lines of an extra and of `base`, nothing is missing."""
+    marked = {}
+    for line in lock.SUMS.read_text("utf-8").splitlines():
+        marked[line.partition("==")[0]] = set(line.partition(" # ")[2].split())
+    for name, extras in lock.extras_of(lock.pinned(lock.LOCK.read_text("utf-8"))).items():
+        assert marked[name] == {"base"} or set(extras) <= marked[name], name  # a newer Python needs less
 
 
 def test_the_same_components_give_the_same_bill() -> None:
