@@ -31,6 +31,8 @@ constexpr double kWeightOfRecovery = 4, kStuckS = 0.2;
 constexpr double kBetweenLooksS = 0.05;
 /// Parts of the finest retry while a hand feels tissue. Its tools back off sooner than a hand can wait for more.
 constexpr std::uint32_t kMostPartsForAHand = 2;
+/// Change of a tool's force from step to step, as a share of it, after which BDF2 starts anew.
+constexpr double kContactJump = 0.1;
 
 }  // namespace
 
@@ -78,6 +80,7 @@ void World::write_start() {
 }
 
 void World::place_tools() {
+  contact_jumped_ = false;
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     tools_[i].place();
     published_[i] = {};
@@ -88,6 +91,7 @@ void World::place_tools() {
 }
 
 void World::read_tools() {
+  contact_jumped_ = jumps(published_, forces_);
   published_ = forces_;
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     const model::ToolModel& tool = model_->tools[i];
@@ -321,6 +325,19 @@ bool World::touches(std::span<const backend::ToolForce> forces) {
                      [](const backend::ToolForce& force) { return !force.force_n.isZero(0); });
 }
 
+/// Whether the force of a tool changed by more than a share of itself.
+bool World::jumps(std::span<const backend::ToolForce> from, std::span<const backend::ToolForce> to) {
+  for (std::size_t i = 0; i < to.size(); ++i) {
+    const double change_n = (to[i].force_n - from[i].force_n).norm();
+    if (change_n > kContactJump * std::max(to[i].force_n.norm(), from[i].force_n.norm())) return true;
+  }
+  return false;
+}
+
+/// Whether BDF2 makes the next step as its first one, by implicit Euler. It would take the acceleration of an impact
+/// into the step after it, and throw the tissue off.
+bool World::starts_anew() const { return model_->integrator == model::Integrator::kBdf2 && contact_jumped_; }
+
 /// Makes the step as planned: in one part, with the consistent stiffness unless that failed lately or a tool touches.
 BoundCheck World::plan_step(bool gather_visible) {
   constexpr Retry kAsPlanned{1, 1, false, Breach::kNone};
@@ -392,7 +409,7 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
                           .dt_s = model_->dt_s / how.steps,
                           .cg_max_iterations = cg_max_iterations,
                           .saves_checkpoint = saves_checkpoint,
-                          .first_order = how.fallback_settings,
+                          .first_order = how.fallback_settings || starts_anew(),
                           .projects_stiffness = projects_stiffness,
                           .loads_time_s = loads_time_s(share),
                           .load_factor = loads_grow ? share : 1,
@@ -454,6 +471,7 @@ World::Saved World::save() {
   out.step_count = step_count_;
   out.rows = state_->read();
   out.history = state_->read_history();
+  if (starts_anew()) out.history.last_dt_s = 0;
   out.energy = energy_.entries();
   out.cg_limit = cg_limit_;
   out.held_steps = held_steps_;
@@ -475,6 +493,7 @@ void World::restore(const Saved& saved) {
   step_count_ = saved.step_count;
   last_ = {};
   has_event_ = false;
+  contact_jumped_ = false;  // saved as a history that starts anew
   held_steps_ = saved.held_steps;
   recovering_ = saved.recovering;
   stuck_s_ = saved.stuck_s;

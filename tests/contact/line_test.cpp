@@ -106,8 +106,11 @@ TEST(Line, MovesWithoutAJumpFromOneEndToTheOther) {
     const double z = corners.at(touch_of(capsule(i * kStepRad), corners).weights).z();
     if (i > -2000) longest = std::max(longest, std::abs(z - before));
     before = z;
-    if (i == -2000) EXPECT_NEAR(z, kFirstM, 0.02);
-    if (i == 2000) EXPECT_NEAR(z, kLastM, 0.02);
+    if (i == -2000) {
+      EXPECT_NEAR(z, kFirstM, 0.02);
+    } else if (i == 2000) {
+      EXPECT_NEAR(z, kLastM, 0.02);
+    }
   }
   EXPECT_LT(longest, 0.01 * (kLastM - kFirstM));
 }
