@@ -91,7 +91,7 @@ void World::place_tools() {
 }
 
 void World::read_tools() {
-  contact_jumped_ = jumps(published_, forces_);
+  contact_jumped_ = trial_jumped_;
   published_ = forces_;
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     const model::ToolModel& tool = model_->tools[i];
@@ -309,6 +309,7 @@ void World::hold_tissue() {
   state_->come_to_rest();
   projection_.begin();
   forces_ = published_;
+  trial_jumped_ = false;
   tools_work_j_ = last_.work_j = last_.kinetic_energy_j = 0;
   const std::size_t again = held_steps_++;
   const bool lets_go = held_steps_ * model_->dt_s > kLongestHeldS / 2;
@@ -325,18 +326,14 @@ bool World::touches(std::span<const backend::ToolForce> forces) {
                      [](const backend::ToolForce& force) { return !force.force_n.isZero(0); });
 }
 
-/// Whether the force of a tool changed by more than a share of itself.
-bool World::jumps(std::span<const backend::ToolForce> from, std::span<const backend::ToolForce> to) {
-  for (std::size_t i = 0; i < to.size(); ++i) {
-    const double change_n = (to[i].force_n - from[i].force_n).norm();
-    if (change_n > kContactJump * std::max(to[i].force_n.norm(), from[i].force_n.norm())) return true;
-  }
-  return false;
+/// Whether a tool's force changed by more than a share of itself.
+bool World::jumps(const Vec3<double>& from_n, const Vec3<double>& to_n) {
+  return (to_n - from_n).norm() > kContactJump * std::max(to_n.norm(), from_n.norm());
 }
 
-/// Whether BDF2 makes the next step as its first one, by implicit Euler. It would take the acceleration of an impact
-/// into the step after it, and throw the tissue off.
-bool World::starts_anew() const { return model_->integrator == model::Integrator::kBdf2 && contact_jumped_; }
+/// Whether BDF2 makes a step as its first one, by implicit Euler, after one in which contact jumped. It would take the
+/// acceleration of an impact into the step after it, and throw the tissue off.
+bool World::starts_anew(bool jumped) const { return model_->integrator == model::Integrator::kBdf2 && jumped; }
 
 /// Makes the step as planned: in one part, with the consistent stiffness unless that failed lately or a tool touches.
 BoundCheck World::plan_step(bool gather_visible) {
@@ -394,6 +391,7 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
   // need gentler loads, and nobody counts its energy.
   const auto loads_time_s = [&](double share) { return time_s(model_->quasi_static() ? share : balanced_at); };
   tools_work_j_ = 0;
+  trial_jumped_ = contact_jumped_;
   TM_ASSERT(how.steps > 0, "a step has parts");
   solver::StepResult before;  // sums and maxima over the previous parts
   before.newton_iterations = 0;
@@ -409,15 +407,17 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
                           .dt_s = model_->dt_s / how.steps,
                           .cg_max_iterations = cg_max_iterations,
                           .saves_checkpoint = saves_checkpoint,
-                          .first_order = how.fallback_settings || starts_anew(),
+                          .first_order = how.fallback_settings || starts_anew(trial_jumped_),
                           .projects_stiffness = projects_stiffness,
                           .loads_time_s = loads_time_s(share),
                           .load_factor = loads_grow ? share : 1,
                           .gather_visible = gather_visible},
                          forces_);
     StepEnergy energy{.available_j = energy_.available_j()};
+    trial_jumped_ = false;
     for (std::size_t i = 0; i < tools_.size(); ++i) {
       const auto& [shape, load] = touches_[i];
+      trial_jumped_ = trial_jumped_ || jumps(load.force_n, forces_[i].force_n);
       const Pose& now = inputs_[i].shape;
       tools_work_j_ -= (load.force_n + forces_[i].force_n).dot(now.position_m - shape.position_m) / 2;
       tools_work_j_ -= (load.torque_n_m + forces_[i].torque_n_m).dot(physics::rotation_vector(shape, now)) / 2;
@@ -471,7 +471,7 @@ World::Saved World::save() {
   out.step_count = step_count_;
   out.rows = state_->read();
   out.history = state_->read_history();
-  if (starts_anew()) out.history.last_dt_s = 0;
+  if (starts_anew(contact_jumped_)) out.history.last_dt_s = 0;
   out.energy = energy_.entries();
   out.cg_limit = cg_limit_;
   out.held_steps = held_steps_;

@@ -129,8 +129,8 @@ class World {
   void read_tools();
   void read_broken();
   static bool touches(std::span<const backend::ToolForce> forces);
-  static bool jumps(std::span<const backend::ToolForce> from, std::span<const backend::ToolForce> to);
-  bool starts_anew() const;
+  static bool jumps(const Vec3<double>& from_n, const Vec3<double>& to_n);
+  bool starts_anew(bool jumped) const;
   BoundCheck plan_step(bool gather_visible);
   BoundCheck check_loads(double rise) const;
   BoundCheck step_with_tools_moved(BoundCheck check);
@@ -191,7 +191,8 @@ class World {
   std::unique_ptr<backend::SceneState> state_;
   std::vector<ToolMotion> tools_;
   std::vector<backend::ToolForce> published_;  // [tool], at the end of the last step
-  bool contact_jumped_ = false;                // in the last step
+  bool contact_jumped_ = false;                // in the last step, or its last part
+  bool trial_jumped_ = false;                  // the same of the step that is tried
   // The current step, [tool].
   std::vector<backend::ToolInput> inputs_;  // at the end of the current part
   std::vector<Touch> touches_;              // at the end of the previous part
