@@ -162,7 +162,10 @@ struct DenseContact {
       const double c = 0.5 / (1 - w / 4), t = std::max(0.0, (r - 1 + w) / w), slope = c * t;
       const double phi = 1 + c * w * t * t / 2, of_deepest = phi - r * slope;
       const Vec3<double> from_core = point_at(x, at.weights) - at.core;
-      out = {true, of_deepest + slope, phi * c / w, 0, at, {}, weights - r * at.weights};
+      out.found = true;
+      out.sum = of_deepest + slope;
+      out.bend = phi * c / w;
+      out.tilt = weights - r * at.weights;
       out.lever = (of_deepest * from_core.norm() + slope * away.norm()) / out.sum;
       out.normal = (of_deepest * from_core.normalized() + slope * away.normalized()).normalized();
       out.mean.weights = (of_deepest * at.weights + slope * weights) / out.sum;
