@@ -4,11 +4,11 @@
 
 #include "contact/surface.h"
 
-/// A solid tool (physics/tool/solid.h) touches a triangle at four points: at the corners, and at the point nearest to
-/// its middle.
+/// A solid tool (physics/tool/solid.h) touches a triangle at four points: at the corners, and at the centroid. A
+/// triangle that is large for the solid has the point nearest to the solid's middle instead.
 ///
 ///           b              a..c  corners, which are points 1 to 3
-///          . .               4     point of the triangle that is nearest to the middle of the solid
+///          . .               4     centroid, or the point of the triangle that is nearest to the middle of the solid
 ///         . 4 .
 ///        a.....c             Each point carries a quarter of the area that the triangle turns to the solid,
 ///                            −n·n_t A, with its normal n_t and its area A at rest.
@@ -16,13 +16,17 @@
 /// 1. A flat solid touches a triangle with its whole area. A single point, the deepest, would jump from corner to
 ///    corner while the triangle tilts, and the triangle would rock for ever. The corners carry a pressure that changes
 ///    linearly over the triangle exactly.
-/// 2. Point 4 finds what the corners miss: an edge or a tip of the solid between them.
+/// 2. On a large triangle point 4 finds what the corners miss: an edge or a tip of the solid between them. It moves
+///    when the triangle tilts, so there tissue may rock.
 /// 3. Contacts are decided where a step begins. A point that would fall more than a quarter of the solid's thickness in
 ///    the step could come out on its other side before any step has seen it inside. Such a point touches the face that
 ///    its way enters, across the gap.
 /// 4. A side of the tissue that stands on a table touches it with its lower corners, but carries nothing. Therefore the
 ///    area towards the solid counts.
 namespace tensormass::contact {
+
+/// Legs of a triangle up to which its corners and its centroid suffice, in depths of the solid's middle.
+inline constexpr double kSmallInMiddles = 1.5;
 
 /// A point of a triangle that touches a tool.
 template <class Real>
@@ -143,8 +147,8 @@ TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& too
     visit(point, touch_at(point, corner));
   }
   if (far) return visit(std::uint32_t{3}, Touch<Real>{});
-  const Real thickness = 2 * Kind::middle_m(tool);
-  const bool small = thickness == 0 || sqrt(2 * area) <= thickness;
+  const Real middle = Kind::middle_m(tool);
+  const bool small = middle == 0 || sqrt(2 * area) <= Real(kSmallInMiddles) * middle;
   visit(std::uint32_t{3},
         touch_at(3, small ? Vec3<Real>(Vec3<Real>::Constant(Real(1) / 3)) : nearest_to_middle<Kind>(tool, corners)));
 }

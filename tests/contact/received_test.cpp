@@ -111,7 +111,8 @@ Impulses push(world::World& world, const Scheme& scheme) {
     EXPECT_TRUE(world.step(false)) << "step " << i;
     const Vec3<double> now = momentum(world), on_tissue = -world.readings()[0].force_n;
     // BDF2: M (3 v' − 4 v + v₋₁) / (2 dt) = F.
-    const Vec3<double> received = is_bdf2 && !starts_anew ? Vec3<double>((3 * now - 4 * before + last) / 2) : now - before;
+    const Vec3<double> received =
+        is_bdf2 && !starts_anew ? Vec3<double>((3 * now - 4 * before + last) / 2) : now - before;
     const Vec3<double> missing = received - kDtS * on_tissue;
     if (world.guard_event() == nullptr && world.last().newton_residual <= world.model().newton_tolerance) {
       out.missing += missing;

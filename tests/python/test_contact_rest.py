@@ -59,7 +59,7 @@ def lay(
     start = np.array([*middle, SIZE_M[2] + below_m])
     if kind != "box":
         start[0] -= 0.01
-    pose = {"position_m": tuple(start), "orientation": tuple(turn)}
+    pose: dict[str, Any] = {"position_m": tuple(start), "orientation": tuple(turn)}
     scene.add_tool("tool", kind, **pose, max_speed_m_per_s=1, friction_coefficient=friction, **shape)
     return start, turn
 
@@ -111,7 +111,7 @@ def test_friction_has_an_equilibrium(server: tm.Server) -> None:
         mesh = tm.grid([3, 3, 2], [0.04, 0.04, 0.02], shape="hexahedron")
         top, low = mesh.nodes[:, 2] > 0.02 - 1e-9, mesh.nodes[:, 2] < 1e-9
         scene = tm.Scene(way)
-        numbers = {"young_modulus_pa": YOUNG_PA, "poisson_ratio": 0.4, "density_kg_per_m3": 1000.0}
+        numbers: dict[str, Any] = {"young_modulus_pa": YOUNG_PA, "poisson_ratio": 0.4, "density_kg_per_m3": 1000.0}
         fixed = low if way == "glued" else None
         scene.add_body("block", mesh, law="neo_hookean", **numbers, fixed_nodes=fixed)
         scene.prescribe("block", [0, 0, -0.001], top)
@@ -132,7 +132,7 @@ def test_two_blocks_pressed_together_have_an_equilibrium(server: tm.Server) -> N
     for name, cells, bottom_m in (("a", 3, 0.0), ("b", 4, edge_m)):
         mesh = tm.grid([cells] * 3, [edge_m] * 3, shape="hexahedron", origin_m=(0, 0, bottom_m))
         x = mesh.nodes
-        numbers = {"young_modulus_pa": YOUNG_PA, "poisson_ratio": 0.3, "density_kg_per_m3": 1000.0}
+        numbers: dict[str, Any] = {"young_modulus_pa": YOUNG_PA, "poisson_ratio": 0.3, "density_kg_per_m3": 1000.0}
         scene.add_body(name, mesh, law="hooke", **numbers)
         for axis, c in (("x", 0), ("y", 1)):
             scene.fix(name, (x[:, c] < 1e-9) | (x[:, c] > edge_m - 1e-9), axes=axis)
@@ -164,7 +164,7 @@ def test_a_tray_holds_what_falls_on_it(server: tm.Server, thickness_m: float, he
         gravity_m_per_s2=(0, 0, -9.81),
     )
     scene.body("body").rayleigh_stiffness_s = 0.01
-    tray = {"size_x_m": 0.4, "size_y_m": 0.4, "size_z_m": thickness_m}
+    tray: dict[str, Any] = {"size_x_m": 0.4, "size_y_m": 0.4, "size_z_m": thickness_m}
     scene.add_tool("tray", "box", position_m=(0, 0, -thickness_m / 2), fixed=True, friction_coefficient=0.3, **tray)
     scene.set_stepping(dt_s=1 / rate_hz)
     with server.load(scene, lockstep=True) as handle:
