@@ -189,6 +189,8 @@ TM_HOST_DEVICE void add_contact(const view::StateView<Real>& state, const view::
   out.add_size(impulse);
   out.add_stiffness(r, k.template cast<double>() * factor, r);
 
+  const Tilt<Real> tilt(at.corners_before(), touch);
+  if (!(touch.line_stiffness > 0 || tilt.stiffness() > 0)) return;
   // The tilt of the six rigid motions.
   Corners<Real> motions[6];
   for (int i = 0; i < 6; ++i) {
@@ -204,12 +206,13 @@ TM_HOST_DEVICE void add_contact(const view::StateView<Real>& state, const view::
     const LineTilt<Real> line(touch);
     double u[6];
     for (int i = 0; i < 6; ++i) u[i] = static_cast<double>(line.of(motions[i]));
-    for (int c = 0; c < 3; ++c) add_force(c, line.force(c, line.of(change)));
+    const Real tilted = line.of(change);
+    for (int c = 0; c < 3; ++c) add_force(c, line.force(c, tilted));
     out.add_stiffness(u, static_cast<double>(touch.line_stiffness) * factor);
   }
-  const Tilt<Real> tilt(at.corners_before(), touch);
   if (!(tilt.stiffness() > 0)) return;
-  for (int c = 0; c < 3; ++c) add_force(c, tilt.force(c, tilt.of(change)));
+  const Vec3<Real> tilted = tilt.of(change);
+  for (int c = 0; c < 3; ++c) add_force(c, tilt.force(c, tilted));
   Vec3<Real> of_motion[6];
   for (int i = 0; i < 6; ++i) of_motion[i] = tilt.of(motions[i]);
   for (int c = 0; c < 3; ++c) {
@@ -244,10 +247,9 @@ TM_HOST_DEVICE void add_ties(const view::StateView<Real>& state, const view::Tie
       arm += arm_of(tie.rows[other]) * tie.weight[other];
     }
     if (!(abs(weight) > Real(1e-3))) return;  // the tie is within the body
-    const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
-    const Mat3<Real> k = Mat3<Real>::Identity() * tie.across + n * n.transpose() * (tie.stiffness - tie.across);
-    out.add_stiffness(r, k.template cast<double>() * (factor * static_cast<double>(tie.weight[role] * weight)),
-                      (arm / weight).template cast<double>());
+    out.add_stiffness(
+        r, stiffness_of(tie).template cast<double>() * (factor * static_cast<double>(tie.weight[role] * weight)),
+        (arm / weight).template cast<double>());
   });
 }
 

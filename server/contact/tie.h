@@ -20,6 +20,13 @@ TM_HOST_DEVICE Vec3<Real> relative(const view::Tie<Real>& tie, std::uint32_t exc
   return sum;
 }
 
+/// Returns S [N/m].
+template <class Real>
+TM_HOST_DEVICE Mat3<Real> stiffness_of(const view::Tie<Real>& tie) {
+  const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
+  return Mat3<Real>::Identity() * tie.across + n * n.transpose() * (tie.stiffness - tie.across);
+}
+
 /// Returns S v.
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> stiffness_times(const view::Tie<Real>& tie, const Vec3<Real>& v) {

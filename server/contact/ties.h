@@ -119,9 +119,7 @@ TM_HOST_DEVICE void assemble_ties(const Team& team, const view::StateView<Real>&
     for_each_tie(ties, row, [&](const view::Tie<Real>& tie, std::uint32_t role) {
       const Real weight = tie.weight[role];
       force += force_after(tie, [&](std::uint32_t r) { return view::change_ahead_to_end(state, r); }) * weight;
-      const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
-      stiffness +=
-          (Mat3<Real>::Identity() * tie.across + n * n.transpose() * (tie.stiffness - tie.across)) * (weight * weight);
+      stiffness += stiffness_of(tie) * (weight * weight);
     });
     view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + force * h);
     Real* d = matrix.diagonal + std::size_t{8} * row;
