@@ -8,7 +8,7 @@ the databases, which need no account, and name their folders:
 
     PyPI                https://github.com/pypa/advisory-database          --osv
     PyPI, npm           https://github.com/github/advisory-database        --osv
-    crates.io           https://github.com/rustsec/advisory-db             --rustsec
+    Rust                https://github.com/rustsec/advisory-db             --rustsec
     Debian              by hand: the packages of the daemon's libraries
 
 An advisory that does not concern us is accepted in advisories.json with its reason: `"accepted": "why"`. Renewing
@@ -37,7 +37,7 @@ ADVISORIES = Path(__file__).with_name("advisories.json")
 MAX_AGE_DAYS = 90
 """An older list is said to be old."""
 
-ECOSYSTEMS = {"pypi": "PyPI", "npm": "npm", "cargo": "crates.io", "deb": "Debian"}
+ECOSYSTEMS = {"pypi": "PyPI", "npm": "npm", "cargo": "Rust", "deb": "Debian"}
 
 Advisory = dict[str, Any]
 
@@ -155,7 +155,7 @@ def renewed(
         fresh += found
     if rustsec is not None:
         fresh += _read_rustsec(rustsec)
-        sources["crates.io"] = _origin(rustsec)
+        sources["Rust"] = _origin(rustsec)
     accepted = {(old["id"], old["package"]): old["accepted"] for old in known["advisories"] if "accepted" in old}
     mine = [advisory for advisory in fresh if (advisory["ecosystem"], advisory["package"]) in names]
     for advisory in mine:
@@ -218,7 +218,7 @@ def _read_rustsec(folder: Path) -> Iterator[Advisory]:
             continue
         yield {
             "id": advisory["id"],
-            "ecosystem": "crates.io",
+            "ecosystem": "Rust",
             "package": advisory["package"],
             "safe": [*versions.get("patched", []), *versions.get("unaffected", [])],
         }

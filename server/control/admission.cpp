@@ -16,7 +16,8 @@ namespace {
 
 constexpr double kMib = 1 << 20;
 
-/// Returns the number at the start of a file, or `otherwise` if there is none: cgroups write "max" for no bound.
+/// Returns the number at the start of a file. Returns `otherwise` for a file that is missing or starts with a word,
+/// such as "max", which cgroups write without a bound.
 double read_number(const std::string& path, double otherwise) {
   std::ifstream file(path);
   double number = 0;

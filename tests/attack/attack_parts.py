@@ -4,41 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import json
+import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
-import pytest
 import zenoh
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "python"))
+import service_parts
+
 import tensormass as tm
-from tensormass._src import processes
 
-try:
-    processes.find_program("tensormassd", "TENSORMASSD")
-except tm.NotFoundError as not_built:
-    pytest.skip(str(not_built), allow_module_level=True)
-
-DEADLINE_S = 60.0
+DEADLINE_S = service_parts.DEADLINE_S
 MIB = 1 << 20
-
-# A small block with a probe above its middle: the attacks are on the server, not on the solver.
-BLOCK = """
-name: block
-stepping: {dt_s: 0.005}
-bodies:
-  - name: tissue
-    mesh: {grid: {size_m: {x: 0.1, y: 0.1, z: 0.05}, cells_x: 3, cells_y: 3, cells_z: 2}}
-    law: {st_venant_kirchhoff: {young_modulus_pa: 8000, poisson_ratio: 0.4}}
-    density_kg_per_m3: 1000
-    rayleigh_mass_per_s: 2.0
-    rayleigh_stiffness_s: 0.01
-    fixed:
-      - box: {min_m: {x: -1, y: -1, z: -1}, max_m: {x: 1, y: 1, z: 0.001}}
-tools:
-  - name: probe
-    spherical_probe: {radius_m: 0.015}
-    position_m: {x: 0.05, y: 0.05, z: 0.09}
-"""
 
 #: A place of the probe above the block, and one in it.
 IN_AIR_M = (0.05, 0.05, 0.09)
@@ -46,8 +25,13 @@ IN_TISSUE_M = (0.05, 0.05, 0.055)
 
 
 def block(name: str = "block") -> tm.Scene:
-    scene = tm.Scene.from_yaml(BLOCK)
+    """The block of the service's tests, coarser and without weight: attacks are on the server, not on the solver."""
+    scene = service_parts.block()
     scene.message.name = name
+    scene.message.ClearField("gravity_m_per_s2")
+    grid = scene.body("tissue").mesh.grid
+    grid.cells_x, grid.cells_y, grid.cells_z = 3, 3, 2
+    scene.message.tools[0].position_m.z = IN_AIR_M[2]
     return scene
 
 

@@ -8,21 +8,12 @@ import contextlib
 import json
 import os
 from collections.abc import AsyncIterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 TOKEN = "a-token-of-a-test"
 OPERATOR_TOKEN = "an-operators-token"
-
-
-def make_viewer(folder: Path) -> Path:
-    """Makes a folder like that of the built viewer."""
-    (folder / "assets").mkdir(parents=True)
-    (folder / "index.html").write_text("<title>viewer</title>")
-    (folder / "assets" / "main.js").write_text("1;")
-    return folder
 
 
 def frame(payload: bytes, *, opcode: int = 1, masked: bool = True, fin: bool = True) -> bytes:

@@ -15,7 +15,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "python"))
 from asynchronous import DEADLINE_S, asynchronous
-from gateway_attacks import OPERATOR_TOKEN, TOKEN, ask, journal, make_viewer, raw_browser
+from daemon_parts import make_viewer
+from gateway_attacks import OPERATOR_TOKEN, TOKEN, ask, journal, raw_browser
 from gateway_parts import options
 
 from tensormass_gateway import connections

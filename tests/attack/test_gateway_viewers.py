@@ -12,8 +12,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "python"))
 from asynchronous import asynchronous
+from daemon_parts import make_viewer
 from fake_daemon import fake_daemon
-from gateway_attacks import RawBrowser, frame, journal, make_viewer, raw_browser, text
+from gateway_attacks import RawBrowser, frame, journal, raw_browser, text
 from gateway_parts import browse, load, options, publish
 
 from tensormass_gateway import connections

@@ -23,10 +23,10 @@ import grpc
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "python"))
+from daemon_parts import small_daemon
 from service_parts import block
 
 import tensormass as tm
-from tensormass._src import processes
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2
 
 DEADLINE_S = 40.0
@@ -49,11 +49,7 @@ with tm.connect(sys.argv[1]) as server:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[tm.Server]:
-    try:
-        processes.find_program("tensormassd", "TENSORMASSD")
-    except tm.NotFoundError as not_built:
-        pytest.skip(str(not_built))
-    with tm.launch(backend="cpu", cpu_threads=1, zenoh=False) as server:
+    with small_daemon() as server:
         yield server
 
 

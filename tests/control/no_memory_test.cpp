@@ -1,6 +1,4 @@
-#include <algorithm>
 #include <atomic>
-#include <cstdlib>
 #include <new>
 #include <string>
 
@@ -8,6 +6,7 @@
 
 #include "control/scene_registry.h"
 #include "support/eventually.h"
+#include "support/operator_new.h"
 #include "support/scenes.h"
 
 /// A call whose n-th large allocation fails is refused, for every n, and other scenes step on. This program replaces
@@ -21,45 +20,11 @@ namespace {
 std::atomic<long> countdown{0};
 constexpr std::size_t kLarge = 1024;
 
-void* taken(std::size_t size, std::size_t alignment) noexcept {
-  if (size >= kLarge && countdown.load(std::memory_order_relaxed) > 0 && countdown.fetch_sub(1) == 1) return nullptr;
-  const std::size_t rounded = (std::max<std::size_t>(size, 1) + alignment - 1) / alignment * alignment;
-  return std::aligned_alloc(alignment, rounded);
-}
-void* taken_or_thrown(std::size_t size, std::size_t alignment) {
-  if (void* memory = taken(size, alignment)) return memory;
-  throw std::bad_alloc();
-}
-constexpr std::size_t kUsual = __STDCPP_DEFAULT_NEW_ALIGNMENT__;
-
 }  // namespace
 
-void* operator new(std::size_t size) { return taken_or_thrown(size, kUsual); }
-void* operator new[](std::size_t size) { return taken_or_thrown(size, kUsual); }
-void* operator new(std::size_t size, std::align_val_t alignment) {
-  return taken_or_thrown(size, static_cast<std::size_t>(alignment));
+bool tensormass::tests::may_allocate(std::size_t size) noexcept {
+  return size < kLarge || countdown.load(std::memory_order_relaxed) <= 0 || countdown.fetch_sub(1) != 1;
 }
-void* operator new[](std::size_t size, std::align_val_t alignment) {
-  return taken_or_thrown(size, static_cast<std::size_t>(alignment));
-}
-void* operator new(std::size_t size, const std::nothrow_t&) noexcept { return taken(size, kUsual); }
-void* operator new[](std::size_t size, const std::nothrow_t&) noexcept { return taken(size, kUsual); }
-void* operator new(std::size_t size, std::align_val_t alignment, const std::nothrow_t&) noexcept {
-  return taken(size, static_cast<std::size_t>(alignment));
-}
-void* operator new[](std::size_t size, std::align_val_t alignment, const std::nothrow_t&) noexcept {
-  return taken(size, static_cast<std::size_t>(alignment));
-}
-void operator delete(void* memory) noexcept { std::free(memory); }
-void operator delete[](void* memory) noexcept { std::free(memory); }
-void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
-void operator delete[](void* memory, std::size_t) noexcept { std::free(memory); }
-void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
-void operator delete[](void* memory, std::align_val_t) noexcept { std::free(memory); }
-void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
-void operator delete[](void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
-void operator delete(void* memory, const std::nothrow_t&) noexcept { std::free(memory); }
-void operator delete[](void* memory, const std::nothrow_t&) noexcept { std::free(memory); }
 
 namespace tensormass::control {
 namespace {

@@ -11,9 +11,9 @@ from typing import Any
 
 import grpc
 import pytest
+from daemon_parts import make_viewer, small_daemon
 
 import tensormass as tm
-from tensormass._src import processes
 from tensormass.v1 import control_pb2, control_pb2_grpc
 
 
@@ -74,19 +74,11 @@ def recorder() -> Iterator[tuple[Recorder, tm.Server]]:
 @pytest.fixture
 def viewer(tmp_path: Path) -> Path:
     """Makes a folder like that of the built viewer."""
-    folder = tmp_path / "dist"
-    (folder / "assets").mkdir(parents=True)
-    (folder / "index.html").write_text("<title>viewer</title>")
-    (folder / "assets" / "main.js").write_text("1;")
-    return folder
+    return make_viewer(tmp_path / "dist")
 
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[tm.Server]:
     """A daemon on one thread, for the tests of a file; they are skipped without a build."""
-    try:
-        processes.find_program("tensormassd", "TENSORMASSD")
-    except tm.NotFoundError as not_built:
-        pytest.skip(str(not_built))
-    with tm.launch(backend="cpu", cpu_threads=1, zenoh=False) as server:
+    with small_daemon() as server:
         yield server

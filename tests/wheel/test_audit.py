@@ -105,15 +105,15 @@ def test_the_same_components_give_the_same_bill() -> None:
     ],
 )
 def test_versions_are_compared(version: str, advisory: dict[str, Any], affected: bool) -> None:
-    ecosystem = "Debian" if "-" in version else "crates.io"
+    ecosystem = "Debian" if "-" in version else "Rust"
     assert audit.is_affected(version, {"ecosystem": ecosystem, **advisory}) == affected
 
 
 def test_a_vulnerability_fails_until_it_is_accepted_and_lists_say_their_age() -> None:
     parts = [Component("cargo", "a", "1.0"), Component("npm", "a", "1.0"), Component("pypi", "b", "1.0")]
-    advisory = {"id": "X-1", "ecosystem": "crates.io", "package": "a", "ranges": [["0", "2"]]}
+    advisory = {"id": "X-1", "ecosystem": "Rust", "package": "a", "ranges": [["0", "2"]]}
     sources = {
-        "crates.io": {"date": "2030-01-30", "from": "here"},
+        "Rust": {"date": "2030-01-30", "from": "here"},
         "PyPI": {"date": "2029-01-31", "from": "there"},
     }
     lines, failed = audit.report({"sources": sources, "advisories": [advisory]}, parts, TODAY)
@@ -155,13 +155,13 @@ def test_renewing_reads_both_kinds_of_database_and_keeps_what_was_accepted(tmp_p
     before = {
         "sources": {"Debian": {"date": "2030-01-01", "from": "by hand"}},
         "advisories": [
-            {"id": "RUSTSEC-1", "ecosystem": "crates.io", "package": "c", "safe": [], "accepted": "not called"},
+            {"id": "RUSTSEC-1", "ecosystem": "Rust", "package": "c", "safe": [], "accepted": "not called"},
             {"id": "CVE-1", "ecosystem": "Debian", "package": "d", "ranges": [["0", "2"]]},
         ],
     }
     parts = [Component("pypi", "some-name", "1.0"), Component("cargo", "c", "1.0"), Component("deb", "d", "1-1")]
     known = audit.renewed(before, parts, [osv], rustsec)
-    assert set(known["sources"]) == {"Debian", "PyPI", "crates.io"}
+    assert set(known["sources"]) == {"Debian", "PyPI", "Rust"}
     assert [(each["id"], each["package"]) for each in known["advisories"]] == [
         ("CVE-1", "d"),
         ("GHSA-1", "some-name"),
@@ -169,7 +169,7 @@ def test_renewing_reads_both_kinds_of_database_and_keeps_what_was_accepted(tmp_p
     ]
     assert known["advisories"][2] == {
         "id": "RUSTSEC-1",
-        "ecosystem": "crates.io",
+        "ecosystem": "Rust",
         "package": "c",
         "safe": [">= 1.1"],
         "accepted": "not called",

@@ -245,7 +245,7 @@ class FrameGate:
         self._reader.feed_eof()
 
     def _check(self, data: bytes) -> str:
-        """Returns the reason to refuse a frame that begins in `data`; empty: there is none."""
+        """Returns why a frame that begins in `data` must be refused; empty if it may pass."""
         data = self._head + data
         at = self._payload_left
         while at + 2 <= len(data):

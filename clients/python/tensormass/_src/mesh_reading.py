@@ -84,7 +84,7 @@ def _read(kind: str, path: Path) -> tuple[list[str], list[tuple[list[str], npt.N
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        # Threads of a linear algebra library would take memory, and there is none to solve.
+        # Reading solves no linear system, so threads of a linear algebra library would only take memory.
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
         start_new_session=True,
     )
