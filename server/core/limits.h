@@ -20,6 +20,9 @@ inline constexpr std::size_t kMaxCorePoints = 4;
 /// Contacts between bodies, and attachments, of one scene; a scene with more is refused.
 inline constexpr std::size_t kMaxBodyContacts = 256;
 inline constexpr std::size_t kMaxAttachments = 256;
+/// Findings that a scene accepts, and bytes of the reason for one; a scene with more is refused.
+inline constexpr std::size_t kMaxAcceptedFindings = 256;
+inline constexpr std::size_t kMaxReasonLength = 1024;
 /// Pairs of nodes of an attachment's two regions; an attachment with more is refused. The reader tests every pair.
 inline constexpr std::size_t kMaxAttachmentPairs = 100'000'000;
 /// Bytes of a body's picture; a body with a larger one is refused. Each late subscriber is sent it with the topology.

@@ -17,11 +17,13 @@
 
 /// One pass over the elements does most checks (see `admit` in admission.h for their order).
 ///
-/// Each check only counts and describes its first occurrence (Finding): a broken mesh may have millions of broken
+/// Each check only counts and describes its first occurrence (Problem): a broken mesh may have millions of broken
 /// elements. Volume and component count of the report come from the same pass. Errors are put together at the end, so
 /// that the user sees all kinds at once.
 namespace tensormass::mesh {
 namespace {
+
+using thresholds::kSliverDihedralDeg;
 
 using Nodes = std::span<const std::uint32_t>;
 
@@ -31,7 +33,7 @@ bool acceptable(const Eigen::Vector3d& point) {
 
 /// Checks the coordinates of a mesh's nodes or a skin's vertices. `what` names one of them in the error.
 Result<void> check_points(std::span<const Eigen::Vector3d> points, std::string_view what, std::string_view owner) {
-  Finding bad;
+  Problem bad;
   for (std::size_t i = 0; i < points.size(); ++i) {
     if (acceptable(points[i])) continue;
     bad.add([&] {
@@ -69,7 +71,7 @@ Result<void> check_sizes(const Mesh& mesh, std::string_view body) {
 }
 
 Result<void> check_indices(const Mesh& mesh, std::string_view body) {
-  Finding out_of_range;
+  Problem out_of_range;
   for_each_element(mesh, [&](std::uint32_t element, const Topology&, Nodes nodes) {
     for (const std::uint32_t node : nodes) {
       if (node < mesh.nodes.size()) continue;
@@ -98,7 +100,7 @@ bool is_flat(const ElementGeometry& geometry) {
 
 /// Finds elements with the same nodes in any order. Sorts elements by a hash of their nodes, then compares those with
 /// equal hashes.
-Finding find_duplicates(const Mesh& mesh, std::string_view body) {
+Problem find_duplicates(const Mesh& mesh, std::string_view body) {
   using Sorted = std::vector<std::uint32_t>;
   struct Entry {
     std::uint64_t hash;
@@ -143,7 +145,7 @@ Finding find_duplicates(const Mesh& mesh, std::string_view body) {
   }
   std::sort(pairs.begin(), pairs.end());
 
-  Finding duplicates;
+  Problem duplicates;
   for (const auto& [later, earlier] : pairs) {
     duplicates.add([&, later = later, earlier = earlier] {
       return fmt::format("element {} of body '{}' has the same nodes as element {} ({})", later, body, earlier,
@@ -186,7 +188,7 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
   double worst_cosine = -2.0;
   std::uint64_t sliver_count = 0;
   const double sliver_cosine = std::cos(kSliverDihedralDeg * std::numbers::pi / 180.0);
-  Finding repeated, flat, inverted, folded, bent, isolated;
+  Problem repeated, flat, inverted, folded, bent, isolated;
   Components components(mesh.nodes.size());
   std::vector<bool> used(mesh.nodes.size(), false);
   const auto name = [&](std::uint32_t element, Nodes nodes) {
@@ -220,8 +222,8 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
       return;
     }
     if (geometry.min_jacobian_m3 < 0.0) {
-      Finding& finding = shape.has_mid_edge_nodes() ? bent : folded;
-      finding.add([&] {
+      Problem& problem = shape.has_mid_edge_nodes() ? bent : folded;
+      problem.add([&] {
         return fmt::format("{} of shape {} is folded over at node {}: the Jacobian there is {:.3g} m³",
                            name(element, nodes), shape.name, nodes[geometry.min_jacobian_node],
                            geometry.min_jacobian_m3);
@@ -243,15 +245,15 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
       isolated.add([&] { return fmt::format("node {} of body '{}' belongs to no element", node, body); });
     }
   }
-  const Finding duplicates = searching.get();
+  const Problem duplicates = searching.get();
   Conformity conformity;
-  const Finding* const element_errors[] = {&repeated, &flat, &inverted, &folded, &bent, &duplicates};
+  const Problem* const element_errors[] = {&repeated, &flat, &inverted, &folded, &bent, &duplicates};
   if (std::all_of(std::begin(element_errors), std::end(element_errors),
-                  [](const Finding* f) { return f->count == 0; })) {
+                  [](const Problem* f) { return f->count == 0; })) {
     conformity = check_conformity(mesh, body);
   }
 
-  const std::pair<const Finding&, std::string_view> errors[] = {
+  const std::pair<const Problem&, std::string_view> errors[] = {
       {repeated, "remove it or give it nodes of its own; `tensormass mesh FILE -o OUT` removes it"},
       {inverted,
        "put its nodes in VTK order (in a tetrahedron, exchange the last two; in a wedge, its triangles; in a pyramid "
@@ -268,25 +270,36 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
        "remove it or connect it; it would have no stiffness and no mass (`tensormass mesh FILE -o OUT` removes it)"},
   };
   std::string message;
-  for (const auto& [finding, what_to_do] : errors) {
-    if (finding.count == 0) continue;
+  for (const auto& [problem, what_to_do] : errors) {
+    if (problem.count == 0) continue;
     if (!message.empty()) message += '\n';
-    message += finding.text(what_to_do);
+    message += problem.text(what_to_do);
   }
   if (!message.empty()) return invalid(std::move(message));
 
   report.min_dihedral_angle_deg = std::acos(worst_cosine) * 180.0 / std::numbers::pi;
   if (sliver_count > 0) {
-    report.warnings.push_back(fmt::format(
-        "body '{}': {} elements have a dihedral angle below {}°, the smallest {:.3g}° in element {}; they "
-        "slow the solver down, remesh for better ones",
-        body, sliver_count, kSliverDihedralDeg, report.min_dihedral_angle_deg, report.min_dihedral_element));
+    report.findings.push_back(
+        {.code = FindingCode::kSlivers,
+         .value = report.min_dihedral_angle_deg,
+         .limit = kSliverDihedralDeg,
+         .place = fmt::format("body '{}'.mesh", body),
+         .body = std::string(body),
+         .message = fmt::format("body '{}': {} elements have a dihedral angle below {}°, the smallest {:.3g}° in "
+                                "element {}",
+                                body, sliver_count, kSliverDihedralDeg, report.min_dihedral_angle_deg,
+                                report.min_dihedral_element),
+         .remedy = "they slow the solver down, remesh for better ones"});
   }
   if (report.component_count > 1) {
-    report.warnings.push_back(fmt::format(
-        "body '{}' consists of {} parts that share no node; they move independently, and each needs its own "
-        "fixed nodes to stay in place",
-        body, report.component_count));
+    report.findings.push_back(
+        {.code = FindingCode::kSeparateParts,
+         .value = static_cast<double>(report.component_count),
+         .limit = kind_of(FindingCode::kSeparateParts).limit,
+         .place = fmt::format("body '{}'.mesh", body),
+         .body = std::string(body),
+         .message = fmt::format("body '{}' consists of {} parts that share no node", body, report.component_count),
+         .remedy = "they move independently, and each needs its own fixed nodes to stay in place"});
   }
   return report;
 }
@@ -306,7 +319,7 @@ Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::sp
   if (auto ok = check_points(vertices, "skin vertex", owner); !ok) return tl::make_unexpected(ok.error());
 
   std::uint64_t flat_count = 0;
-  Finding out_of_range, repeated;
+  Problem out_of_range, repeated;
   std::vector<bool> used(vertices.size(), false);
   for (std::size_t i = 0; i < triangles.size(); ++i) {
     const Triangle& triangle = triangles[i];
@@ -341,10 +354,20 @@ Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::sp
 
   SkinReport report{static_cast<std::uint32_t>(vertices.size()), static_cast<std::uint32_t>(triangles.size()), {}};
   if (flat_count > 0) {
-    report.warnings.push_back(fmt::format("the skin of {} has {} triangles without area", owner, flat_count));
+    report.findings.push_back(
+        {.code = FindingCode::kFlatSkinTriangles,
+         .value = static_cast<double>(flat_count),
+         .place = fmt::format("{}.skin", owner),
+         .message = fmt::format("the skin of {} has {} triangles without area", owner, flat_count),
+         .remedy = "they have no normal, so remove them"});
   }
   if (const auto unused = std::count(used.begin(), used.end(), false); unused > 0) {
-    report.warnings.push_back(fmt::format("the skin of {} has {} vertices that belong to no triangle", owner, unused));
+    report.findings.push_back(
+        {.code = FindingCode::kUnusedSkinVertices,
+         .value = static_cast<double>(unused),
+         .place = fmt::format("{}.skin", owner),
+         .message = fmt::format("the skin of {} has {} vertices that belong to no triangle", owner, unused),
+         .remedy = "remove them, unless the triangles lack some"});
   }
   return report;
 }

@@ -2,10 +2,10 @@
 
 #include <cstdint>
 #include <span>
-#include <string>
 #include <string_view>
 #include <vector>
 
+#include "core/findings.h"
 #include "core/result.h"
 #include "mesh/mesh.h"
 
@@ -15,9 +15,6 @@ namespace tensormass::mesh {
 /// cubed. Below it, the element is refused as flat: its rest shape cannot be inverted in single precision. A regular
 /// tetrahedron has 0.118.
 inline constexpr double kMinRelativeVolume = 1e-9;
-/// Dihedral angle [deg] below which an element is reported as a sliver. Slivers make the system ill-conditioned and the
-/// result inaccurate.
-inline constexpr double kSliverDihedralDeg = 5.0;
 
 /// Facts about an admitted mesh.
 struct MeshReport {
@@ -27,7 +24,7 @@ struct MeshReport {
   double volume_m3 = 0.0;
   double min_dihedral_angle_deg = 0.0;
   std::uint32_t min_dihedral_element = 0;
-  std::vector<std::string> warnings;
+  std::vector<Finding> findings;
 };
 
 /// Checks a mesh from outside the server. `body` names the mesh in messages.
@@ -40,7 +37,7 @@ struct MeshReport {
 ///   elements against each other         duplicates; then, if there is no error so far, overlapping and nonconforming
 ///                                       faces (conformity.h)
 ///   nodes                               without an element
-///   slivers, separate components        warnings, not errors
+///   slivers, separate components        findings, not errors
 ///
 /// The error has one line for each kind of problem. Each line says the first element or node concerned, how many there
 /// are, and what to do.
@@ -52,14 +49,14 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body);
 struct SkinReport {
   std::uint32_t vertex_count = 0;
   std::uint32_t triangle_count = 0;
-  std::vector<std::string> warnings;
+  std::vector<Finding> findings;  ///< without the name of the owner: `body` and `tool` are empty
 };
 
 /// Checks a triangle surface from outside the server. `owner` names whose it is in messages: "body 'liver'".
 ///
 ///   errors     no vertices or triangles, counts beyond core/limits.h, an index out of range, a coordinate that is not
 ///              finite or too large, a triangle that repeats a vertex
-///   warnings   triangles without area and vertices without triangle, because they only look bad
+///   findings   triangles without area and vertices without triangle, because they only look bad
 Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::span<const Triangle> triangles,
                               std::string_view owner);
 

@@ -2,17 +2,17 @@
 
 #include <string_view>
 
-#include "mesh/finding.h"
+#include "mesh/problem.h"
 #include "mesh/mesh.h"
 
 namespace tensormass::mesh {
 
 /// Faces of neighbouring elements that touch without being one common face.
 struct Conformity {
-  Finding overlapping;  ///< more than two elements at a face, or two on the same side of it
+  Problem overlapping;  ///< more than two elements at a face, or two on the same side of it
   /// Faces that lie on each other and share only some of their nodes: a triangle on a quadrilateral, a linear face on a
   /// quadratic one.
-  Finding nonconforming;
+  Problem nonconforming;
 };
 
 /// Checks that neighbouring elements share whole faces. `body` names the mesh in messages. O(n log n).

@@ -7,7 +7,7 @@
 #include <fmt/format.h>
 
 #include "mesh/adjacency.h"
-#include "mesh/finding.h"
+#include "mesh/problem.h"
 
 namespace tensormass::mesh {
 namespace {
@@ -16,7 +16,7 @@ constexpr const Topology& kLinear = topology(Shape::kTetrahedron);
 constexpr const Topology& kQuadratic = topology(Shape::kQuadraticTetrahedron);
 
 Result<void> check_shapes(const Mesh& mesh, std::string_view where) {
-  Finding other;
+  Problem other;
   for_each_element(mesh, [&](std::uint32_t element, const Topology& shape, std::span<const std::uint32_t>) {
     if (&shape == &kLinear || &shape == &kQuadratic) return;
     other.add([&] {

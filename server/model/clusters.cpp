@@ -19,8 +19,6 @@ namespace {
 
 /// Poisson's ratio above which an element without a cluster is too stiff.
 constexpr double kNearlyIncompressible = 0.49;
-/// Fraction of a body's elements that may lock without a warning. An irregular mesh leaves up to 0.02 alone.
-constexpr double kNoticeablePart = 0.1;
 
 /// A mesh with its elements by node and its nodes by element.
 struct Neighbours {
@@ -83,12 +81,12 @@ std::optional<Cluster> make_cluster(const Neighbours& neighbours, std::span<cons
   return cluster;
 }
 
-/// Warns if many elements of a shape stay alone and lock.
+/// Adds a finding if many elements of a shape stay alone and lock.
 ///
 ///   alone     [element of the body]
 ///   partner   where an element's partner would be
-void warn_of_locking(Model& model, std::string_view name, const ReadBody& body, const std::vector<bool>& alone,
-                     mesh::Shape shape, std::string_view partner) {
+void find_unpaired(Model& model, std::string_view name, const ReadBody& body, const std::vector<bool>& alone,
+                   mesh::Shape shape, std::string_view partner) {
   const mesh::Topology& topology = mesh::topology(shape);
   std::uint32_t all = 0, locking = 0;
   mesh::for_each_element(body.mesh, [&](std::uint32_t e, const mesh::Topology& of, std::span<const std::uint32_t>) {
@@ -96,11 +94,17 @@ void warn_of_locking(Model& model, std::string_view name, const ReadBody& body, 
     ++all;
     if (alone[e] && body.material(e).poisson_ratio > kNearlyIncompressible) ++locking;
   });
-  if (locking <= kNoticeablePart * all) return;
-  model.warnings.push_back(
-      fmt::format("body '{}': {} of {} elements of shape {} have no partner for their change of volume and are too "
-                  "stiff near a Poisson's ratio of 0.5; a partner {} and has the same law and moduli",
-                  name, locking, all, topology.name, partner));
+  if (locking <= thresholds::kLockingPart * all) return;
+  model.findings.push_back(
+      {.code = FindingCode::kUnpairedElements,
+       .value = static_cast<double>(locking) / all,
+       .limit = thresholds::kLockingPart,
+       .place = fmt::format("body '{}'.quadrature", name),
+       .body = std::string(name),
+       .message = fmt::format("body '{}': {} of {} elements of shape {} have no partner for their change of volume and "
+                              "are too stiff near a Poisson's ratio of 0.5",
+                              name, locking, all, topology.name),
+       .remedy = fmt::format("a partner {} and has the same law and moduli", partner)});
 }
 
 }  // namespace
@@ -134,8 +138,8 @@ void make_clusters(Compilation& c) {
     for (const ElementRing& ring : ring_tetrahedra(body)) {
       add(physics::TypeTag<physics::LinearTetrahedron>{}, ring, kRingPart);
     }
-    warn_of_locking(c.model, of.name, body, alone, mesh::Shape::kWedge, "lies across a quadrilateral face");
-    warn_of_locking(c.model, of.name, body, alone, mesh::Shape::kTetrahedron, "shares an edge");
+    find_unpaired(c.model, of.name, body, alone, mesh::Shape::kWedge, "lies across a quadrilateral face");
+    find_unpaired(c.model, of.name, body, alone, mesh::Shape::kTetrahedron, "shares an edge");
   }
 }
 

@@ -17,6 +17,7 @@
 ///   rows
 ///                                                                          --group--> elements by (shape, law)
 ///                                                                          --make---> surfaces for contact and clients
+///                                                                          --find---> what is probably a mistake
 ///
 /// Reading may fail: each error names the place in the scene and the remedy. What follows works on checked values, and
 /// check_model asserts at the end what the kernels rely on.
@@ -33,16 +34,20 @@ void make_layout(Compilation& c, const PatchPolicy& policy) {
   c.merged.blocks.pop_back();
 }
 
-/// Warns of free bodies in a quasi-static scene: without fixed nodes and inertia their position is not determined.
-void warn_of_loose_bodies(Model& model) {
+/// Finds free bodies in a quasi-static scene: without fixed nodes and inertia their position is not determined.
+void find_loose_bodies(Model& model) {
   if (!model.quasi_static()) return;
   for (const BodyModel& body : model.bodies) {
     if (body.fixed_node_count > 0) continue;
-    model.warnings.push_back(
-        fmt::format("body '{}': no node is fixed or prescribed, and a quasi-static step has no inertia, so the "
-                    "position of the body "
-                    "is not determined; give fixed or prescribed nodes",
-                    body.name));
+    model.findings.push_back(
+        {.code = FindingCode::kLooseBody,
+         .value = 1,
+         .place = fmt::format("body '{}'.fixed", body.name),
+         .body = body.name,
+         .message = fmt::format("body '{}': no node is fixed or prescribed, and a quasi-static step has no inertia, so "
+                                "the position of the body is not determined",
+                                body.name),
+         .remedy = "give fixed or prescribed nodes"});
   }
 }
 
@@ -61,11 +66,12 @@ Result<void> check_integrator(const Model& model) {
 }  // namespace
 
 Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress) {
-  Compilation c{scene, {}, {}, {}, {}, {}, {}};
+  Compilation c{scene, {}, {}, {}, {}, {}, {}, {}};
   TM_RETURN_IF_ERROR(read_header(c));
   TM_RETURN_IF_ERROR(read_bodies(c, progress));
   TM_RETURN_IF_ERROR(read_tools(c));
   TM_RETURN_IF_ERROR(read_ties(c));
+  TM_RETURN_IF_ERROR(read_accepted(c));
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kOrderNodes));
   make_clusters(c);
   make_layout(c, policy);
@@ -85,7 +91,8 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
     TM_RETURN_IF_ERROR(make_visible_surface(c));
     make_visible_attachments(c);
   }
-  warn_of_loose_bodies(c.model);
+  find_loose_bodies(c.model);
+  find_mistakes(c);
   check_model(c.model);
   return std::move(c.model);
 }

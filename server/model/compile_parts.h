@@ -2,11 +2,13 @@
 
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
 #include "core/result.h"
 #include "mesh/mesh.h"
+#include "mesh/surface.h"
 #include "model/compile.h"
 #include "model/material_input.h"
 #include "model/model.h"
@@ -68,7 +70,12 @@ struct Compilation {
   std::vector<ReadBody> bodies;
   std::vector<Cluster> clusters;
   std::vector<ReadAttachment> attachments;
+  std::vector<std::optional<mesh::Surface>> surfaces;  ///< [body] those that were asked for
 
+  /// Returns the boundary of a body's mesh, which is made when it is asked for first.
+  const mesh::Surface& surface(std::size_t body);
+  /// Returns the mean edge of that boundary [m].
+  double mean_edge_m(std::size_t body);
   bool has_ties() const { return !model.body_contacts.empty() || !attachments.empty(); }
 };
 
@@ -102,7 +109,7 @@ void for_each_element(const Compilation& c, const Visit& visit) {
 /// Reads the name, stepping, solver, streams and gravity of the scene.
 Result<void> read_header(Compilation& c);
 
-/// Reads the bodies and merges their meshes. Adds the warnings of their meshes.
+/// Reads the bodies and merges their meshes. Adds the findings of their meshes.
 Result<void> read_bodies(Compilation& c, const Progress& progress);
 
 /// Reads body.law, law_regions and element_fields.
@@ -113,6 +120,9 @@ Result<void> read_tools(Compilation& c);
 
 /// Reads contacts between bodies and attachments. Needs the bodies.
 Result<void> read_ties(Compilation& c);
+
+/// Reads the findings that the scene accepts. Needs the bodies and tools.
+Result<void> read_accepted(Compilation& c);
 
 /// Fills rest positions, masses and damping. Needs the layout.
 Result<void> fill_row_fields(Compilation& c);
@@ -139,5 +149,11 @@ void find_free_bodies(Compilation& c);
 Result<void> make_visible_surface(Compilation& c);
 /// Makes the ends of springs that clients see. Needs the visible surface.
 void make_visible_attachments(Compilation& c);
+
+/// Finds what is probably a mistake in the scene, and marks what the scene accepts. Needs all of the above.
+void find_mistakes(Compilation& c);
+/// The parts of find_mistakes: in overlaps.cpp and tool_mistakes.cpp.
+void find_overlaps(Compilation& c);
+void find_mistakes_of_tools(Compilation& c);
 
 }  // namespace tensormass::model

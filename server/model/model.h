@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "core/findings.h"
 #include "matrix/layout.h"
 #include "matrix/patch_tetrahedra.h"
 #include "matrix/row_lists.h"
@@ -239,6 +240,7 @@ struct ToolModel {
   std::span<const physics::ToolParameter> joints;  ///< kJoints of the kind
   double radius_m = 0;                             ///< for a solid half its thickness
   double reach_m = 0;  ///< for a solid the largest distance of its surface from the origin of the shape's frame
+  double width_m = 0;  ///< the second largest of its three sizes; infinite for a plane
   physics::ToolParameters parameters{};
   Vec3<double> tip_offset_m = Vec3<double>::Zero();  ///< origin of the shape's frame in the tool's frame
   double penalty_pa_per_m = 0;                       ///< pressure of contact per depth, if the scene gives it; else 0
@@ -320,8 +322,9 @@ struct Model {
   std::vector<BodyModel> bodies;
   std::vector<ToolModel> tools;
   std::vector<BodyContactModel> body_contacts;
-  std::vector<float> tool_samples;  ///< signed distances of tools, see physics/tool/mesh_solid.h
-  std::vector<std::string> warnings;
+  std::vector<float> tool_samples;        ///< signed distances of tools, see physics/tool/mesh_solid.h
+  std::vector<Finding> findings;          ///< of the load
+  std::vector<AcceptedFinding> accepted;  ///< also while the scene steps
 
   matrix::Layout layout;
   std::vector<std::uint8_t> begun_slices;  ///< [slice] MatrixView::begun_slices

@@ -38,7 +38,7 @@ Result<void> check_counts(const v1::Body& body, std::string_view where) {
   return {};
 }
 
-Result<void> read_quadrature(const v1::Body& body, ReadBody& out, std::vector<std::string>& warnings,
+Result<void> read_quadrature(const v1::Body& body, ReadBody& out, std::vector<Finding>& findings,
                              std::string_view where) {
   switch (body.quadrature()) {
     case v1::QUADRATURE_UNSPECIFIED:
@@ -46,10 +46,14 @@ Result<void> read_quadrature(const v1::Body& body, ReadBody& out, std::vector<st
       break;
     case v1::QUADRATURE_REDUCED:
       out.quadrature = physics::Quadrature::kReduced;
-      warnings.push_back(fmt::format(
-          "{}: reduced quadrature does not see the bending modes of an element; the mesh may fold in "
-          "zigzag without resistance (one of quadratic hexahedra only where elements stand in a single row)",
-          where));
+      findings.push_back(
+          {.code = FindingCode::kReducedQuadrature,
+           .value = 1,
+           .place = fmt::format("{}.quadrature", where),
+           .body = body.name(),
+           .message = fmt::format("{}: reduced quadrature does not see the bending modes of an element", where),
+           .remedy = "the mesh may fold in zigzag without resistance (one of quadratic hexahedra only where elements "
+                     "stand in a single row)"});
       break;
     case v1::QUADRATURE_SELECTIVE:
       out.quadrature = physics::Quadrature::kSelective;
@@ -111,7 +115,7 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
     if (body.has_skin()) {
       TM_ASSIGN_OR_RETURN(skin, read_skin(body, where));
       TM_ASSIGN_OR_RETURN(skin_report, mesh::admit_skin(skin.vertices, skin.triangles, where));
-      (void)skin_report;  // make_visible_surface adds its warnings
+      (void)skin_report;  // make_visible_surface adds its findings
       mesh::curve(elevated, skin.vertices, skin.triangles);
     }
     mesh = std::move(elevated.mesh);
@@ -135,7 +139,7 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
   out.volume_m3 = report.volume_m3;
   out.mass_kg = report.volume_m3 * density;
   out.min_dihedral_angle_deg = report.min_dihedral_angle_deg;
-  c.model.warnings.insert(c.model.warnings.end(), report.warnings.begin(), report.warnings.end());
+  c.model.findings.insert(c.model.findings.end(), report.findings.begin(), report.findings.end());
   if (body.has_color_srgb()) {
     const v1::Vector3& color = body.color_srgb();
     for (const double component : {color.x(), color.y(), color.z()}) {
@@ -158,7 +162,7 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
   read.mesh = std::move(mesh);
   read.middle_of = std::move(middle_of);
   read.density_kg_per_m3 = density;
-  TM_RETURN_IF_ERROR(read_quadrature(body, read, c.model.warnings, where));
+  TM_RETURN_IF_ERROR(read_quadrature(body, read, c.model.findings, where));
   TM_RETURN_IF_ERROR(read_materials(body, read, where));
   c.bodies.push_back(std::move(read));
   return {};

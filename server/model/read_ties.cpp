@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <limits>
-#include <map>
 #include <set>
 #include <utility>
 #include <vector>
@@ -10,10 +9,8 @@
 
 #include "core/limits.h"
 #include "core/names.h"
-#include "mesh/surface.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
-#include "model/signed_distance.h"
 #include "tensormass/v1/scene.pb.h"
 
 /// Reads contacts between bodies and attachments.
@@ -26,51 +23,6 @@ namespace {
 constexpr double kDefaultTiePenalty = 10;
 /// Distance at which surfaces begin to push each other, unless the scene gives it, as a part of the mean edge.
 constexpr double kDefaultDistanceInEdges = 0.1;
-
-/// A body's surface at rest, and what the defaults of a contact follow from.
-struct BodySurface {
-  std::vector<Eigen::Vector3d> vertices;
-  std::vector<mesh::Triangle> triangles;
-  std::vector<std::array<std::uint32_t, 3>> neighbours;  // as in mesh::Surface
-  Eigen::AlignedBox3d box;
-  double mean_edge_m;
-};
-
-BodySurface surface_of(const ReadBody& body) {
-  mesh::Surface surface = mesh::boundary(body.mesh);
-  BodySurface out{{}, std::move(surface.triangles), std::move(surface.neighbours), {}, 0};
-  for (const std::uint32_t node : surface.nodes) {
-    out.vertices.push_back(body.mesh.nodes[node]);
-    out.box.extend(out.vertices.back());
-  }
-  double sum_m = 0;
-  for (const mesh::Triangle& triangle : out.triangles) {
-    for (std::size_t i = 0; i < 3; ++i)
-      sum_m += (out.vertices[triangle[i]] - out.vertices[triangle[(i + 1) % 3]]).norm();
-  }
-  out.mean_edge_m = sum_m / (3 * static_cast<double>(out.triangles.size()));
-  return out;
-}
-
-/// The vertices of one surface that lie inside another, by more than `least_m`.
-struct Overlap {
-  std::size_t count = 0;
-  double deepest_m = 0;
-};
-
-Overlap overlap(const BodySurface& of_vertices, const BodySurface& with, double least_m) {
-  Overlap out;
-  if (!of_vertices.box.intersects(with.box)) return out;
-  const SignedDistance distance(with.vertices, with.triangles, with.neighbours);
-  for (const Eigen::Vector3d& vertex : of_vertices.vertices) {
-    if (!with.box.contains(vertex)) continue;
-    const double depth_m = -distance.at(vertex);
-    if (!(depth_m > least_m)) continue;
-    ++out.count;
-    out.deepest_m = std::max(out.deepest_m, depth_m);
-  }
-  return out;
-}
 
 class TieReader {
  public:
@@ -105,11 +57,6 @@ class TieReader {
     return invalid(fmt::format("{}: no body has the name '{}'; the scene has {}", where, name, known));
   }
 
-  const BodySurface& surface(std::size_t body) {
-    if (const auto known = surfaces_.find(body); known != surfaces_.end()) return known->second;
-    return surfaces_.emplace(body, surface_of(c_.bodies[body])).first->second;
-  }
-
   Result<void> read_contact(const v1::BodyContact& contact, const std::string& where) {
     TM_ASSIGN_OR_RETURN(body, find_body(contact.body(), where + ".body"));
     std::size_t other = body;
@@ -120,13 +67,13 @@ class TieReader {
     if (!pairs_.insert(std::minmax(body, other)).second) {
       return invalid(fmt::format("{}: an earlier entry names the same two bodies", where));
     }
-    const BodySurface &a = surface(body), &b = surface(other);
-    const double largest_m = std::max(a.mean_edge_m, b.mean_edge_m);
+    const double edge_m = c_.mean_edge_m(body), other_edge_m = c_.mean_edge_m(other);
+    const double largest_m = std::max(edge_m, other_edge_m);
     BodyContactModel out{body, other, 0, 0, 0, 0, 0};
-    TM_ASSIGN_OR_RETURN(distance, read_number(contact.has_distance_m()
-                                                  ? contact.distance_m()
-                                                  : kDefaultDistanceInEdges * std::min(a.mean_edge_m, b.mean_edge_m),
-                                              0, limits::kMaxLength, where + ".distance_m"));
+    TM_ASSIGN_OR_RETURN(distance,
+                        read_number(contact.has_distance_m() ? contact.distance_m()
+                                                             : kDefaultDistanceInEdges * std::min(edge_m, other_edge_m),
+                                    0, limits::kMaxLength, where + ".distance_m"));
     if (contact.has_penalty_stiffness_pa_per_m()) {
       TM_ASSIGN_OR_RETURN(penalty, read_number(contact.penalty_stiffness_pa_per_m(), 1e-3, 1e18,
                                                where + ".penalty_stiffness_pa_per_m"));
@@ -148,25 +95,8 @@ class TieReader {
     out.distance_m = distance;
     out.friction = friction;
     out.reach_m = reach;
-    if (body != other) {
-      warn_of_overlap(out, body, other);
-      warn_of_overlap(out, other, body);
-    }
     c_.model.body_contacts.push_back(out);
     return {};
-  }
-
-  /// Warns if one body begins inside another.
-  void warn_of_overlap(const BodyContactModel& contact, std::size_t of_nodes, std::size_t with) {
-    const auto [count, deepest_m] = overlap(surface(of_nodes), surface(with), contact.distance_m);
-    if (count == 0) return;
-    const char* then = deepest_m < contact.reach_m ? "Contact pushes them apart in the first steps"
-                                                   : "Nodes deeper than the contact's reach_m stay inside";
-    c_.model.warnings.push_back(
-        fmt::format("bodies '{0}' and '{1}' overlap at rest: {2} {3} of '{0}' {4} inside '{1}', the deepest by {5:.3g} "
-                    "mm. {6}; move one of the bodies.",
-                    c_.model.bodies[of_nodes].name, c_.model.bodies[with].name, count, count == 1 ? "node" : "nodes",
-                    count == 1 ? "lies" : "lie", 1e3 * deepest_m, then));
   }
 
   /// Returns the nodes of a region, numbered in the scene.
@@ -221,12 +151,22 @@ class TieReader {
   }
 
   Compilation& c_;
-  std::map<std::size_t, BodySurface> surfaces_;  // by body
   std::set<std::pair<std::size_t, std::size_t>> pairs_;
   std::set<std::string> names_;
 };
 
 }  // namespace
+
+double Compilation::mean_edge_m(std::size_t body) {
+  const mesh::Surface& of = surface(body);
+  const std::vector<Eigen::Vector3d>& nodes = bodies[body].mesh.nodes;
+  double sum_m = 0;
+  for (const mesh::Triangle& triangle : of.triangles) {
+    for (std::size_t i = 0; i < 3; ++i)
+      sum_m += (nodes[of.nodes[triangle[i]]] - nodes[of.nodes[triangle[(i + 1) % 3]]]).norm();
+  }
+  return sum_m / (3 * static_cast<double>(of.triangles.size()));
+}
 
 Result<void> read_ties(Compilation& c) { return TieReader(c).read(); }
 

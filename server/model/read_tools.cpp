@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <optional>
 #include <set>
 #include <stdexcept>
@@ -27,8 +28,6 @@ using google::protobuf::Message;
 /// tool touches. A solid's radius is half its thickness; that of a plane is this share of the scene's size.
 constexpr double kDefaultToolPenalty = 20;
 constexpr double kPlaneRadiusInScenes = 0.1;
-/// A mesh should be thicker than so many cubes of the grid that samples its distance.
-constexpr double kLeastCubes = 3;
 constexpr double kDefaultMaxSpeedMPerS = 0.5;
 /// Largest way of a tool in a step, in its radii. A tool that moves farther may be past a thin sheet before any step
 /// has seen it touch: docs/decisions/contact.md has the measurement.
@@ -53,6 +52,9 @@ Result<double> read_field(const Message& kind, std::string_view name, double lea
                      fmt::format("{}.{}", where, name));
 }
 
+/// Returns the second largest of three sizes.
+double middle_of(const Eigen::Vector3d& sizes) { return sizes.sum() - sizes.minCoeff() - sizes.maxCoeff(); }
+
 /// Reads the surface of a sampled solid. Appends to Model::tool_samples.
 Result<void> read_surface(const v1::MeshSolid& message, std::string_view owner, Compilation& c, ToolModel& out) {
   const std::string where = fmt::format("{}.mesh", owner);
@@ -63,19 +65,29 @@ Result<void> read_surface(const v1::MeshSolid& message, std::string_view owner, 
                             surface.triangles.size(), limits::kMaxToolTriangles));
   }
   TM_ASSIGN_OR_RETURN(report, mesh::admit_skin(surface.vertices, surface.triangles, owner));
-  c.model.warnings.insert(c.model.warnings.end(), report.warnings.begin(), report.warnings.end());
+  for (Finding& finding : report.findings) {
+    finding.place = where + ".surface";
+    finding.tool = out.name;
+    c.model.findings.push_back(std::move(finding));
+  }
   TM_ASSIGN_OR_RETURN(scale, read_number(message.has_scale() ? message.scale() : 1, 1e-9, 1e9, where + ".scale"));
   for (Eigen::Vector3d& vertex : surface.vertices) vertex *= scale;
   TM_ASSIGN_OR_RETURN(field, sample_distance(surface.vertices, surface.triangles, where + ".surface"));
   const double thickness_m = field.box.sizes().minCoeff(), cube_m = field.box.sizes().maxCoeff() / kDistanceCubes;
-  if (thickness_m < kLeastCubes * cube_m) {
-    c.model.warnings.push_back(fmt::format(
-        "{}.surface is {:.3g} m thin, and its distance is sampled every {:.3g} m; tissue may pass through it, "
-        "so make it thicker or take another kind of tool",
-        where, thickness_m, cube_m));
+  if (thickness_m < thresholds::kThinToolCubes * cube_m) {
+    c.model.findings.push_back(
+        {.code = FindingCode::kThinTool,
+         .value = thickness_m / cube_m,
+         .limit = thresholds::kThinToolCubes,
+         .place = where + ".surface",
+         .tool = out.name,
+         .message = fmt::format("{}.surface is {:.3g} m thin, and its distance is sampled every {:.3g} m", where,
+                                thickness_m, cube_m),
+         .remedy = "tissue may pass through it, so make it thicker or take another kind of tool"});
   }
   out.parameters[0] = thickness_m / 2;
   out.parameters[1] = field.reach_m;
+  out.width_m = middle_of(field.box.sizes());
   out.first_sample = c.model.tool_samples.size();
   c.model.tool_samples.insert(c.model.tool_samples.end(), field.samples.begin(), field.samples.end());
   return {};
@@ -111,10 +123,15 @@ Result<void> read_shape(const Message& kind, std::string_view owner, Compilation
   if constexpr (Kind::kIsSolid) {
     out.radius_m = Kind::length_m(out.parameters);
     out.reach_m = Kind::reach_m(out.parameters);
+    if constexpr (std::is_same_v<Kind, physics::Plane>) out.width_m = std::numeric_limits<double>::infinity();
+    if constexpr (std::is_same_v<Kind, physics::BoxSolid>) {
+      out.width_m = middle_of({out.parameters[0], out.parameters[1], out.parameters[2]});
+    }
     if (!(out.radius_m > 0)) out.radius_m = kPlaneRadiusInScenes * size_of(c);
   } else {
     TM_ASSIGN_OR_RETURN(radius, read_field(kind, "radius_m", 1e-6, 1e3, where));
     out.radius_m = radius;
+    out.width_m = 2 * radius;
   }
   const Message& tip_message = kind.GetReflection()->GetMessage(kind, &field_of(kind, "tip_offset_m"));
   TM_ASSIGN_OR_RETURN(

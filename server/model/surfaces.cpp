@@ -33,6 +33,12 @@ void add_moduli(Compilation& c, std::uint32_t element) {
 
 }  // namespace
 
+const mesh::Surface& Compilation::surface(std::size_t body) {
+  surfaces.resize(bodies.size());
+  if (!surfaces[body]) surfaces[body] = mesh::boundary(bodies[body].mesh);
+  return *surfaces[body];
+}
+
 void make_contact_surface(Compilation& c) {
   const matrix::Layout& layout = c.model.layout;
   const mesh::Surface surface = mesh::boundary(c.merged);
@@ -104,17 +110,20 @@ Result<void> make_visible_surface(Compilation& c) {
     if (source.has_skin()) {
       TM_ASSIGN_OR_RETURN(skin, read_skin(source, where));
       TM_ASSIGN_OR_RETURN(report, mesh::admit_skin(skin.vertices, skin.triangles, where));
-      c.model.warnings.insert(c.model.warnings.end(), report.warnings.begin(), report.warnings.end());
+      for (Finding& finding : report.findings) {
+        finding.body = body.name;
+        c.model.findings.push_back(std::move(finding));
+      }
       TM_ASSIGN_OR_RETURN(embedding,
                           mesh::embed(c.bodies[b].mesh, skin.vertices, fmt::format("the skin of {}", where)));
       for (std::size_t i = 0; i < skin.vertices.size(); ++i) add(embedding.nodes[i], embedding.weights[i]);
       body.triangles = std::move(skin.triangles);
       body.has_skin = true;
     } else {
-      mesh::Surface surface = mesh::boundary(c.bodies[b].mesh);
+      const mesh::Surface& surface = c.surface(b);
       for (const std::uint32_t node : surface.nodes) add({node, node, node, node}, {1, 0, 0, 0});
-      body.triangles = std::move(surface.triangles);
-      body.vertex_nodes = std::move(surface.nodes);
+      body.triangles = surface.triangles;
+      body.vertex_nodes = surface.nodes;
     }
     body.vertex_count = c.model.visible.count() - body.vertex_begin;
     TM_ASSIGN_OR_RETURN(texture, read_texture(source, body.triangles.size(), where));

@@ -8,6 +8,7 @@
 
 #include "model/bind.h"
 #include "physics/lists.h"
+#include "step/finding_message.h"
 #include "tensormass/v1/control.pb.h"
 
 namespace tensormass::step {
@@ -175,7 +176,7 @@ v1::SceneReport make_report(const model::Model& model, const MachineRates& machi
   }
   list_not_modelled(model, report);
   list_contacts(model, report);
-  for (const std::string& warning : model.warnings) report.add_warnings(warning);
+  for (const Finding& finding : model.findings) add(finding, report);
   return report;
 }
 

@@ -1,7 +1,9 @@
 #include "world/findings.h"
 
 #include <algorithm>
+#include <bit>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include <fmt/format.h>
@@ -9,6 +11,7 @@
 
 #include "core/assert.h"
 #include "physics/lists.h"
+#include "step/finding_message.h"
 
 namespace tensormass::world {
 
@@ -59,6 +62,9 @@ bool Findings::take_step(const World& world) {
   cg_iterations_.store(result.cg_iterations, kRelaxed);
   cg_residual_.store(result.cg_relative_residual, kRelaxed);
   if (!result.converged) unconverged_steps_.fetch_add(1, kRelaxed);
+  const bool above = model_.cg_tolerance > 0 && result.cg_relative_residual > model_.cg_tolerance;
+  solves_above_.store(solves_above_.load(kRelaxed) << 1 | (above ? 1u : 0u), kRelaxed);
+  solves_.store(std::min(solves_.load(kRelaxed) + 1, kWindow), kRelaxed);
   newton_iterations_.store(result.newton_iterations, kRelaxed);
   newton_residual_.store(result.newton_residual, kRelaxed);
   converged_.store(result.converged, kRelaxed);
@@ -96,6 +102,8 @@ void Findings::clear() {
        {&unconverged_steps_, &guard_events_, &guard_recoveries_, &recoveries_, &recovering_steps_, &held_steps_}) {
     count->store(0, kRelaxed);
   }
+  solves_above_ = 0;
+  solves_ = 0;
   recovering_ = was_recovering_ = false;
   converged_ = true;
   negative_curvature_ = false;
@@ -108,6 +116,7 @@ void Findings::clear() {
 }
 
 void Findings::add_to(v1::SceneStatus& status) const {
+  for (const Finding& finding : model_.findings) step::add_of_load(finding, status);
   add_solve(status);
   add_elements(status);
   add_energy(status);
@@ -128,21 +137,41 @@ void Findings::add_solve(v1::SceneStatus& status) const {
     status.set_newton_residual(residual);
     status.set_unconverged_steps(unconverged_steps_.load(kRelaxed));
     if (!converged_.load(kRelaxed)) {
-      status.add_warnings(
-          fmt::format("the last step ended with a residual of {:.2g} of the forces, above newton_tolerance = {:.2g}; "
-                      "give it more newton_max_iterations or cg_max_iterations, or reach the load in smaller steps",
-                      residual, model_.newton_tolerance));
+      add({.code = FindingCode::kUnconvergedStep,
+           .value = residual,
+           .limit = model_.newton_tolerance,
+           .place = "scene.solver.newton_max_iterations",
+           .message = fmt::format("the last step ended with a residual of {:.2g} of the forces, above newton_tolerance "
+                                  "= {:.2g}",
+                                  residual, model_.newton_tolerance),
+           .remedy = "give it more newton_max_iterations or cg_max_iterations, or reach the load in smaller steps"},
+          status);
     }
-  } else if (model_.cg_tolerance > 0 && status.cg_relative_residual() > model_.cg_tolerance) {
-    status.add_warnings(
-        fmt::format("the last solve ended after {} iterations with a residual of {:.2g}, above cg_tolerance = {:.2g}; "
-                    "give it more cg_max_iterations, or take smaller steps",
-                    status.cg_iterations(), status.cg_relative_residual(), model_.cg_tolerance));
+  } else {
+    // Newton's method makes up for a linear solve that ends early. Without it, the step keeps the error.
+    const std::uint32_t solves = solves_.load(kRelaxed);
+    const auto above = static_cast<std::uint32_t>(std::popcount(solves_above_.load(kRelaxed)));
+    if (above > thresholds::kMost * solves) {
+      add({.code = FindingCode::kSolveAboveTolerance,
+           .value = static_cast<double>(above) / solves,
+           .limit = thresholds::kMost,
+           .place = "scene.solver.cg_max_iterations",
+           .message =
+               fmt::format("{} of the last {} solves ended above cg_tolerance = {:.2g}, the last one after {} "
+                           "iterations with a residual of {:.2g}: tissue moves less than it should",
+                           above, solves, model_.cg_tolerance, status.cg_iterations(), status.cg_relative_residual()),
+           .remedy = "give it more cg_max_iterations, or take smaller steps"},
+          status);
+    }
   }
   if (negative_curvature_.load(kRelaxed)) {
-    status.add_warnings(
-        "conjugate gradients met a direction of negative curvature and ended early; the matrix is at the end of its "
-        "precision: take double, or a milder ratio of stiffness to mass");
+    add({.code = FindingCode::kNegativeCurvature,
+         .value = 1,
+         .place = "scene.solver.precision",
+         .message = "conjugate gradients met a direction of negative curvature and ended early; the matrix is at the "
+                    "end of its precision",
+         .remedy = "take double, or a milder ratio of stiffness to mass"},
+        status);
   }
 }
 
@@ -161,28 +190,43 @@ void Findings::add_elements(v1::SceneStatus& status) const {
         const double used = std::max(strain / Law::kMaxStrain, rotation / Law::kMaxRotation);
         most_used = std::max(most_used, used);
         if (used <= 1) return;
-        status.add_warnings(fmt::format(
-            "body '{}': {} has left its range of strains up to {} and rotations up to {} rad: strain {:.2g}, rotation "
-            "{:.2g} rad; take corotational or another law that stands rotation",
-            body_of_group(g), Law::kName, Law::kMaxStrain, Law::kMaxRotation, strain, rotation));
+        add({.code = FindingCode::kLawRange,
+             .value = used,
+             .limit = 1,
+             .place = fmt::format("body '{}'.law", body_of_group(g)),
+             .body = body_of_group(g),
+             .message = fmt::format("body '{}': {} has left its range of strains up to {} and rotations up to {} rad: "
+                                    "strain {:.2g}, rotation {:.2g} rad",
+                                    body_of_group(g), Law::kName, Law::kMaxStrain, Law::kMaxRotation, strain, rotation),
+             .remedy = "take corotational or another law that stands rotation"},
+            status);
       } else if constexpr (requires { Law::kLeastStretch; }) {
         const double used = std::max(1 - stretch, 0.0) / (1 - Law::kLeastStretch);
         most_used = std::max(most_used, used);
         if (used <= 1) return;
-        status.add_warnings(fmt::format(
-            "body '{}': {} gets softer where it is pressed to less than {} of its length, and an element is pressed to "
-            "{:.2g}; take stable_neo_hookean or another law that stands compression",
-            body_of_group(g), Law::kName, Law::kLeastStretch, stretch));
+        add({.code = FindingCode::kLawSoftens,
+             .value = stretch,
+             .limit = Law::kLeastStretch,
+             .place = fmt::format("body '{}'.law", body_of_group(g)),
+             .body = body_of_group(g),
+             .message = fmt::format("body '{}': {} gets softer where it is pressed to less than {} of its length, and "
+                                    "an element is pressed to {:.2g}",
+                                    body_of_group(g), Law::kName, Law::kLeastStretch, stretch),
+             .remedy = "take stable_neo_hookean or another law that stands compression"},
+            status);
       }
     });
   }
   status.set_law_range_used(most_used);
   status.set_min_det_f(min_det_f);
   if (min_det_f <= 0) {
-    status.add_warnings(fmt::format(
-        "elements are inverted (min det F {:.2g}); their stresses mean nothing until they recover, and only {} recover "
-        "by themselves",
-        min_det_f, recovering_laws()));
+    add({.code = FindingCode::kInvertedElements,
+         .value = min_det_f,
+         .place = "scene.bodies",
+         .message = fmt::format("elements are inverted (min det F {:.2g})", min_det_f),
+         .remedy = fmt::format("their stresses mean nothing until they recover, and only {} recover by themselves",
+                               recovering_laws())},
+        status);
   }
 }
 
@@ -205,14 +249,18 @@ void Findings::add_guard(v1::SceneStatus& status) const {
   const std::lock_guard lock(event_mutex_);
   status.set_guard_text(to_text(last_event_, model_));
   const std::uint32_t again = repeated_.load(kRelaxed);
-  if (again <= kWindow / 2) return;
-  status.add_warnings(
-      fmt::format("{} of {} steps left their bounds ({}) and were repeated with smaller steps or safer settings, which "
-                  "takes longer; {}",
-                  again, kWindow, to_text(last_event_.first),
-                  last_event_.first.breach == Breach::kLinearResidual
-                      ? "give it more cg_max_iterations, or a floor that it can keep"
-                      : "take smaller steps, or a law that stands the load"));
+  if (again <= thresholds::kMost * kWindow) return;
+  add({.code = FindingCode::kRepeatedSteps,
+       .value = static_cast<double>(again) / kWindow,
+       .limit = thresholds::kMost,
+       .place = "scene.stepping.dt_s",
+       .message = fmt::format("{} of {} steps left their bounds ({}) and were repeated with smaller steps or safer "
+                              "settings, which takes longer",
+                              again, kWindow, to_text(last_event_.first)),
+       .remedy = last_event_.first.breach == Breach::kLinearResidual
+                     ? "give it more cg_max_iterations, or a floor that it can keep"
+                     : "take smaller steps, or a law that stands the load"},
+      status);
 }
 
 void Findings::add_budget(v1::SceneStatus& status) const {
@@ -223,15 +271,31 @@ void Findings::add_budget(v1::SceneStatus& status) const {
   status.set_floor_cg_iterations(model_.floor_cg_iterations);
   status.set_cg_iteration_limit(limit);
   if (limit < model_.cg_max_iterations) {
-    status.add_warnings(fmt::format("a solve takes {} of {} iterations at most, to keep steps within budget_s = {:.3g}",
-                                    limit, model_.cg_max_iterations, model_.budget_s));
+    add({.code = FindingCode::kLoweredIterations,
+         .value = static_cast<double>(limit),
+         .limit = static_cast<double>(model_.cg_max_iterations),
+         .place = "scene.solver.budget_s",
+         .message = fmt::format("a solve takes {} of {} iterations at most, to keep steps within budget_s = {:.3g}",
+                                limit, model_.cg_max_iterations, model_.budget_s),
+         .remedy = "results are less accurate; give it more time, or fewer elements"},
+        status);
   }
   if (budget_.step_s() > model_.budget_s) {
-    status.add_warnings(fmt::format(
-        "steps take {:.2g} s of a budget of {:.2g} s; the floor is {} iterations{}", budget_.step_s(), model_.budget_s,
-        model_.floor_cg_iterations,
-        model_.floor_tolerance > 0 ? fmt::format(" and a residual of {:.2g}", model_.floor_tolerance) : ""));
+    const std::string residual =
+        model_.floor_tolerance > 0 ? fmt::format(" and a residual of {:.2g}", model_.floor_tolerance) : "";
+    add({.code = FindingCode::kBudgetExceeded,
+         .value = budget_.step_s(),
+         .limit = model_.budget_s,
+         .place = "scene.solver.budget_s",
+         .message = fmt::format("steps take {:.2g} s of a budget of {:.2g} s", budget_.step_s(), model_.budget_s),
+         .remedy = fmt::format("the floor is {} iterations{}", model_.floor_cg_iterations, residual)},
+        status);
   }
+}
+
+void Findings::add(Finding finding, v1::SceneStatus& status) const {
+  accept(finding, model_.accepted);
+  step::add(finding, status);
 }
 
 const std::string& Findings::body_of_group(std::size_t group) const {

@@ -15,13 +15,14 @@ namespace tensormass::world {
 /// The findings of a scene: what its status says about the quality of the results.
 ///
 ///     World::step        --> take_step         --+
-///     World::diagnose    --> take_diagnostics  --+--> atomics --> add_to, by any thread: values and warnings
+///     World::diagnose    --> take_diagnostics  --+--> atomics --> add_to, by any thread: values, findings, warnings
 ///     IterationBudget    ------------------------+
 ///
-/// Values are residuals, iterations, energies and det F. Warnings say in words, with a remedy, when Newton's method did
-/// not converge, elements are inverted, a law left its range, the guard repeats steps or the budget lowers iterations.
+/// Values are residuals, iterations, energies and det F. Findings (core/findings.h) say with a remedy when linear
+/// solves end above their tolerance, Newton's method did not converge, elements are inverted, a law left its range, the
+/// guard repeats steps or the budget lowers iterations. Those of the load come first.
 ///
-/// The loop allocates nothing for this: the thread that asks puts warnings into words.
+/// The loop allocates nothing for this: the thread that asks puts findings into words.
 class Findings {
  public:
   Findings(const model::Model& model, const IterationBudget& budget)
@@ -34,7 +35,7 @@ class Findings {
   void take_diagnostics(const World& world);
   /// Loop: forgets everything, because the scene was reset.
   void clear();
-  /// Any thread: adds values and warnings.
+  /// Any thread: adds values, findings and warnings.
   void add_to(v1::SceneStatus& status) const;
 
  private:
@@ -44,6 +45,7 @@ class Findings {
   void add_guard(v1::SceneStatus& status) const;
   void add_budget(v1::SceneStatus& status) const;
   const std::string& body_of_group(std::size_t group) const;
+  void add(Finding finding, v1::SceneStatus& status) const;
 
   struct Group {
     std::atomic<double> min_det_f{1}, max_strain{0}, max_rotation_rad{0}, least_stretch{1};
@@ -56,11 +58,14 @@ class Findings {
   std::atomic<double> cg_residual_{0}, newton_residual_{0}, deepest_contact_m_{0}, momentum_error_{0};
   std::atomic<double> kinetic_j_{0}, elastic_j_{0}, work_j_{0}, dissipated_j_{0};
   std::atomic<bool> converged_{true}, negative_curvature_{false};
+  /// Bits of the last solves, the newest lowest: whether it ended above cg_tolerance. solves_: up to kWindow.
+  std::atomic<std::uint64_t> solves_above_{0};
+  std::atomic<std::uint32_t> solves_{0};
   std::atomic<std::uint64_t> guard_events_{0}, guard_recoveries_{0};
   std::atomic<std::uint64_t> recoveries_{0}, recovering_steps_{0}, held_steps_{0};
   std::atomic<bool> recovering_{false};
+  static constexpr std::uint32_t kWindow = 64;  // steps
   // Number of steps in the last full window that the guard repeated.
-  static constexpr std::uint32_t kWindow = 64;
   std::uint32_t window_steps_ = 0, window_repeated_ = 0;
   std::atomic<std::uint32_t> repeated_{0};
   bool was_recovering_ = false;     // the loop's

@@ -9,7 +9,7 @@
 namespace tensormass::mesh {
 
 /// One kind of problem: how often it occurs, and the first occurrence in words.
-struct Finding {
+struct Problem {
   std::uint64_t count = 0;
   std::string first;
 
