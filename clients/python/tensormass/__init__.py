@@ -28,6 +28,7 @@ from tensormass._src.errors import (
     UnavailableError,
 )
 from tensormass._src.fields import FieldName, Fields
+from tensormass._src.findings import FindingWarning
 from tensormass._src.frames import Feedback, Frame
 from tensormass._src.grids import grid
 from tensormass._src.launching import launch
@@ -54,6 +55,7 @@ __all__ = [
     "Feedback",
     "FieldName",
     "Fields",
+    "FindingWarning",
     "Frame",
     "FrameStream",
     "InternalError",

@@ -21,6 +21,7 @@ from typing import Any
 
 from tensormass._src.demo import builtin_scenes
 from tensormass._src.errors import InvalidArgumentError, MeshFileWarning, TensormassError
+from tensormass._src.findings import FIRST_OF_RESULTS, FindingWarning
 from tensormass._src.extras import require
 from tensormass._src.plain import to_plain
 from tensormass._src.processes import end_explained
@@ -78,7 +79,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
     _check_usage(parser, args)
     handler = signal.signal(signal.SIGTERM, _terminate)
     try:
-        with _mesh_warnings_are_printed():
+        with _warnings_are_printed():
             return int(args.command(args))
     except TensormassError as error:
         if getattr(args, "json", None) in (True, "-"):  # load-test names a file
@@ -93,18 +94,30 @@ def _run_command(argv: Sequence[str] | None) -> int:
 
 
 @contextlib.contextmanager
-def _mesh_warnings_are_printed() -> Iterator[None]:
-    """Prints what a mesh file has and a scene does not, as a line like other messages."""
+def _warnings_are_printed() -> Iterator[None]:
+    """Prints what a mesh file has and a scene does not, and the findings of a scene, as lines like other messages.
+    Commands print the findings about results themselves."""
     with warnings.catch_warnings():
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *place: Any) -> None:  # noqa: ANN401
-            if issubclass(category, MeshFileWarning):
+            if isinstance(message, FindingWarning):
+                if message.finding.code < FIRST_OF_RESULTS:
+                    print(f"tensormass: warning: {message}", file=sys.stderr)
+            elif issubclass(category, MeshFileWarning):
                 print(f"tensormass: {message}", file=sys.stderr)
             else:
                 others(message, category, *place)
 
         warnings.showwarning = show  # type: ignore[assignment]
+        yield
+
+
+@contextlib.contextmanager
+def _report_has_findings() -> Iterator[None]:
+    """Prints no findings, for commands that print a report with them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FindingWarning)
         yield
 
 
@@ -277,7 +290,8 @@ def _load(args: argparse.Namespace) -> int:
     with connect(find_server(args.server)) as server:
         progress = load_line(quiet=args.json)
         scene = Scene.from_file(args.scene)
-        report = server.load(scene, name=args.name, lockstep=args.lockstep, progress=progress).report
+        with _report_has_findings():
+            report = server.load(scene, name=args.name, lockstep=args.lockstep, progress=progress).report
         assert report is not None
         if args.json:
             print_json({"server": server.address, **to_plain(report)})
@@ -349,7 +363,8 @@ def _inspect(args: argparse.Namespace) -> int:
         daemon_of(args) as server,
         end_explained(server.process, server.log_file),
     ):
-        report = server.inspect(scene)
+        with _report_has_findings():
+            report = server.inspect(scene)
     print_json(to_plain(report)) if args.json else print(report_text(report, scene.message))
     return 0
 

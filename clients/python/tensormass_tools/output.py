@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from tensormass._src import defaults
+from tensormass._src import defaults, findings
 from tensormass._src.durations import DurationHistogram
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.mesh_geometry import MeshQuality
 from tensormass._src.notebook import recoveries_text
-from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import control_pb2, finding_pb2, scene_pb2, stream_pb2
 
 #: Number of steps that `step_time_p50_s` and its like span.
 STATUS_WINDOW_STEPS = 1024
-# A larger body is probably in millimetres.
-_LARGE_M3 = 10.0
-_NUMBER = re.compile(r"[-+]?\d+(\.\d*)?(e[-+]?\d+)?")
 
 
 def print_json(value: object) -> None:
@@ -101,30 +97,25 @@ def _whole_run(status: stream_pb2.SceneStatus) -> list[str]:
 
 
 class Warnings:
-    """Collects the warnings of a scene, each once although its numbers change from step to step."""
+    """Collects the findings about a scene's results, each once although its numbers change from step to step."""
 
     def __init__(self) -> None:
-        self._by_kind: dict[str, str] = {}
+        self._by_kind: dict[tuple[int, str, str, str], finding_pb2.Finding] = {}
 
     def take(self, status: stream_pb2.SceneStatus) -> list[str]:
-        """Returns the warnings of `status` that are new."""
-        new = [text for text in status.warnings if self._kind(text) not in self._by_kind]
-        self._by_kind.update({self._kind(text): text for text in status.warnings})
+        """Returns the texts of the findings of `status` that are new."""
+        found = {findings.key_of(one): one for one in findings.of_results(status)}
+        new = [findings.text_of(one) for key, one in found.items() if key not in self._by_kind]
+        self._by_kind.update(found)
         return new
 
     def lines(self, status: stream_pb2.SceneStatus) -> list[str]:
-        """Returns the new warnings as the command prints them."""
+        """Returns the new findings as the command prints them."""
         return [f"warning: {text}" for text in self.take(status)]
 
-    @property
-    def latest(self) -> list[str]:
-        """Returns every warning so far, in its latest wording."""
-        return list(self._by_kind.values())
-
-    @staticmethod
-    def _kind(text: str) -> str:
-        # Digits within a quoted name belong to the name.
-        return "'".join(part if index % 2 else _NUMBER.sub("#", part) for index, part in enumerate(text.split("'")))
+    def latest(self, *, without: Collection[finding_pb2.FindingCode] = ()) -> list[str]:
+        """Returns every finding so far, in its latest wording, but for some kinds."""
+        return [findings.text_of(one) for one in self._by_kind.values() if one.code not in without]
 
 
 def force_n(feedback: stream_pb2.ToolFeedback) -> float:
@@ -134,7 +125,7 @@ def force_n(feedback: stream_pb2.ToolFeedback) -> float:
 
 
 def report_text(report: control_pb2.SceneReport, scene: scene_pb2.Scene) -> str:
-    """Returns the plan of a scene: its bodies, what is not modelled, warnings, then what a step does and costs."""
+    """Returns the plan of a scene: its bodies, what is not modelled, findings, then what a step does and costs."""
     bodies = [["body", "nodes", "elements", "fixed", "volume", "mass", "min dihedral", "skin or boundary"]]
     for body in report.bodies:
         surface = f"{body.surface_vertex_count} vertices, {body.surface_triangle_count} triangles"
@@ -166,8 +157,7 @@ def report_text(report: control_pb2.SceneReport, scene: scene_pb2.Scene) -> str:
         sections.append(_contacts(report))
     if report.not_modelled:
         sections.append("not modelled:\n" + "\n".join(f"  {item}" for item in report.not_modelled))
-    if warnings := [*_sizes(report), *report.warnings]:
-        sections.append("warnings:\n" + "\n".join(f"  {item}" for item in warnings))
+    sections += _findings(report)
     sections.append(f"memory {_bytes(report.bytes_total)}; expected rate {report.expected_rate_hz:.0f} Hz (a guess)")
     sections += [f"{table(stages)}\nper step; for the solve, per iteration", table(buffers)]
     return "\n\n".join(sections)
@@ -206,14 +196,15 @@ def _contacts(report: control_pb2.SceneReport) -> str:
     return table(rows)
 
 
-def _sizes(report: control_pb2.SceneReport) -> list[str]:
-    """Warns of bodies that are so large that their mesh is probably not in metres."""
-    return [
-        f"body {body.name!r} has a volume of {body.volume_m3:.3g} m³; if its mesh is in millimetres, give "
-        "mesh.scale: 0.001"
-        for body in report.bodies
-        if body.volume_m3 > _LARGE_M3
-    ]
+def _findings(report: control_pb2.SceneReport) -> list[str]:
+    """Lists the findings of a scene, first those that it does not accept."""
+    sections = []
+    if found := [f"{findings.code_of(one)}: {findings.text_of(one)}" for one in report.findings if not one.accepted]:
+        sections.append("findings (docs/findings.md has the thresholds):\n" + "\n".join(f"  {line}" for line in found))
+    accepted = [f"{findings.code_of(one)}: {one.message} ({one.accepted})" for one in report.findings if one.accepted]
+    if accepted:
+        sections.append("accepted findings:\n" + "\n".join(f"  {line}" for line in accepted))
+    return sections
 
 
 def _schedules(scene: scene_pb2.Scene) -> list[str]:

@@ -15,7 +15,7 @@ from tensormass._src import defaults
 from tensormass._src.errors import FailedPreconditionError, NotConvergedError
 from tensormass._src.fields import Fields
 from tensormass._src.scene_handle import SceneHandle
-from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass.v1 import finding_pb2, scene_pb2, stream_pb2
 from tensormass_tools import presets
 from tensormass_tools.output import Warnings
 from tensormass_tools.solve_files import Writer
@@ -208,5 +208,5 @@ class Solution:
                     f"body {name!r}: elements are inverted, det F down to {fields.min_det_f:.2g}: no tissue "
                     "can be in this state; take a finer mesh, smaller steps, or a law that stands compression"
                 )
-        # Leaves out the daemon's warning on convergence, which is about the last step only.
-        return findings + [text for text in self._warnings.latest if "newton_tolerance" not in text]
+        # Leaves out the daemon's finding on convergence, which is about the last step only.
+        return findings + self._warnings.latest(without=(finding_pb2.FINDING_CODE_UNCONVERGED_STEP,))

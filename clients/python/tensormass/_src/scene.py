@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy.typing as npt
 
-from tensormass._src import mesh_files, mesh_units, meshes, node_conditions, notebook, textures
+from tensormass._src import findings, mesh_files, mesh_units, meshes, node_conditions, notebook, textures
 from tensormass._src.elastic_constants import young_poisson
 from tensormass._src.enums import enum_number
 from tensormass._src.errors import InvalidArgumentError, MeshFileWarning, naming
@@ -300,6 +300,21 @@ class Scene:
             InvalidArgumentError: a wrong argument; the message names it.
         """
         node_conditions.set_initial_state(self.body(body), displacement_m, velocity_m_per_s)
+
+    def accept(self, code: str, *, reason: str, body: str = "", tool: str = "") -> None:
+        """Accepts a finding of the scene: it stays in the report, marked, and nobody is warned of it.
+
+        Args:
+            code: of the finding, such as "locking"; docs/findings.md lists all.
+            reason: why it is right for this scene.
+            body: only findings that concern this body; empty: any.
+            tool: only findings that concern this tool; empty: any.
+
+        Raises:
+            InvalidArgumentError: an unknown code.
+        """
+        number = findings.code_number(code)
+        self.message.accepted_findings.add(code=number, reason=reason, body=body, tool=tool)
 
     def set_solver(
         self,

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src import defaults, following, notebook
+from tensormass._src import defaults, findings, following, notebook
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
 from tensormass._src.durations import DurationHistogram
 from tensormass._src.errors import FailedPreconditionError, InvalidArgumentError, NotFoundError, TensormassError
@@ -52,6 +52,7 @@ class SceneHandle:
         self._topology: stream_pb2.Topology | None = None
         self._poses: dict[str, PoseSequence] = {}
         self._followed: following.Followed | None = None
+        self._warned: set[tuple[int, str, str, str]] = set()
 
     def __repr__(self) -> str:
         return f"SceneHandle({self.name!r} on {self._connection.address})"
@@ -78,6 +79,10 @@ class SceneHandle:
     def step(self, count: int = 1) -> stream_pb2.SceneStatus:
         """Makes `count` steps and returns after the last one.
 
+        Warns:
+            FindingWarning: something is wrong with the results, such as linear solves that end above their tolerance.
+                Each once; the status has the findings while they last.
+
         Raises:
             InvalidArgumentError: `count` is not above 0.
             FailedPreconditionError: the scene is not in lockstep, or a guard stopped it.
@@ -85,7 +90,11 @@ class SceneHandle:
         if count < 1:
             raise InvalidArgumentError(f"count: expected 1 or more steps, got {count}")
         request = control_pb2.StepSceneRequest(scene=self.name, count=count)
-        return self._connection.call("StepScene", request, timeout_s=None).status
+        status = self._connection.call("StepScene", request, timeout_s=None).status
+        new = [one for one in findings.of_results(status) if findings.key_of(one) not in self._warned]
+        self._warned.update(findings.key_of(one) for one in new)
+        findings.warn_of(new)
+        return status
 
     def follow(self, tool: str, poses: Sequence[following.Pose]) -> stream_pb2.SceneStatus:
         """Makes a step for each pose of a tool, many of them in one call, and returns after the last one.

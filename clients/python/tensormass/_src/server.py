@@ -7,7 +7,7 @@ from pathlib import Path
 
 import grpc
 
-from tensormass._src import errors, notebook
+from tensormass._src import errors, findings, notebook
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
 from tensormass._src.processes import ChildProcess
 from tensormass._src.scene import Scene
@@ -76,6 +76,9 @@ class Server(Connection):
             progress: (part, fraction) -> None; called while the daemon loads, with a text for people and the share of
                 the work that is done, 0 to 1. An exception from it ends the load and is raised here.
 
+        Warns:
+            FindingWarning: something is probably a mistake, such as a mesh in millimetres. `Scene.accept` silences one.
+
         Raises:
             InvalidArgumentError: the scene is refused; the message names the body, the element and the remedy.
             AlreadyExistsError: a scene of this name is loaded.
@@ -85,7 +88,13 @@ class Server(Connection):
             report = self.call("LoadScene", request, timeout_s=LOAD_TIMEOUT_S).report
         else:
             report = self._load_with_progress(request, progress)
-        return SceneHandle(self, request.scene.name, report, request.scene)
+        handle = SceneHandle(self, request.scene.name, report, request.scene)
+        try:
+            findings.warn_of(report.findings)
+        except findings.FindingWarning:
+            handle.unload()  # the caller takes findings as errors, and an error leaves nothing behind
+            raise
+        return handle
 
     def _load_with_progress(
         self, request: control_pb2.LoadSceneRequest, progress: Callable[[str, float], None]
@@ -103,9 +112,11 @@ class Server(Connection):
         return report
 
     def inspect(self, scene: SceneSource) -> control_pb2.SceneReport:
-        """Checks and compiles a scene without running it. Raises the errors of `load`."""
+        """Checks and compiles a scene without running it. Raises the errors and issues the warnings of `load`."""
         request = control_pb2.InspectSceneRequest(scene=_message_of(scene, None, None))
-        return self.call("InspectScene", request, timeout_s=LOAD_TIMEOUT_S).report
+        report = self.call("InspectScene", request, timeout_s=LOAD_TIMEOUT_S).report
+        findings.warn_of(report.findings)
+        return report
 
     def scene(self, name: str) -> SceneHandle:
         """Returns a handle on a scene that is already loaded.
