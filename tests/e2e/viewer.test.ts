@@ -507,16 +507,24 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "broken" });
   });
 
-  it("shows the scene's warnings on request", async () => {
+  it("shows the scene's findings on request, over no other control", async () => {
     // No step meets this budget.
     await stack.ask("load_grid", { name: "hasty", cells: 2, budget_s: 1e-6 });
     const page = await open("scene=hasty");
-    await page.says("#warnings-count", /^[12] warnings?$/);
-    expect(await page.page.locator("#warnings-list").isVisible()).toBe(false);
-    await page.page.locator("#warnings-count").click();
-    await page.says("#warnings-list", /steps take [\d.e-]+ s of a budget of 1e-06 s/);
+    await page.says("#findings-count", /^[12] findings?$/);
+    const badge = await page.page.locator("#findings-count").boundingBox();
+    for (const control of await page.page.locator("header :is(button, select, .menu > summary):visible").all()) {
+      const box = await control.boundingBox();
+      if (badge === null || box === null || (await control.getAttribute("id")) === "findings-count") continue;
+      expect(box.x + box.width <= badge.x || badge.x + badge.width <= box.x).toBe(true);
+    }
+    expect(await page.page.locator("#findings-list").isVisible()).toBe(false);
+    await page.page.locator("#findings-count").press("Enter");
+    await page.says("#findings-list", /steps take [\d.e-]+ s of a budget of 1e-06 s/);
+    await page.page.keyboard.press("Escape");
+    expect(await page.page.locator("#findings-list").isVisible()).toBe(false);
     await stack.ask("unload", { name: "hasty" });
-    await page.page.locator("#warnings").waitFor({ state: "hidden" });
+    await page.page.locator("#findings").waitFor({ state: "hidden" });
   });
 
   it.each([

@@ -3,6 +3,7 @@ import { find, setText } from "./dom";
 import type { Notice, Situation } from "./situation";
 import type { DaemonState } from "./stream/connection";
 import { SceneState, type Status } from "./stream/decode";
+import type { Finding } from "./stream/findings";
 import type { Readings } from "./stream/session";
 
 export interface Actions {
@@ -18,6 +19,9 @@ export class Hud {
   readonly #notice = element("notice");
   readonly #recovery = element("recovering");
   readonly #device = element("device");
+  readonly #badge = find("#findings", HTMLDetailsElement);
+  /** The findings on show. */
+  #found = "[]";
   /** The notice, shown or hidden; null if the page has no notice. */
   #said: Notice = null;
   /** Whether the user closed the notice. A new notice opens again. */
@@ -56,7 +60,7 @@ export class Hud {
   }
 
   showReadings(readings: Readings): void {
-    const { currentStatus: status, warnings, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced } = readings;
+    const { currentStatus: status, findings, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced } = readings;
     write("physics", status ? status.reachedRateHz.toFixed(status.reachedRateHz < 100 ? 1 : 0) : UNKNOWN);
     write("target", targetText(readings.status));
     write("drawn", drawRateHz === null ? UNKNOWN : drawRateHz.toFixed(drawRateHz < 10 ? 1 : 0));
@@ -77,7 +81,7 @@ export class Hud {
     element("law-range-row").hidden = lawRangeUsed === 0;
     write("law-range", (100 * lawRangeUsed).toFixed(0));
     element("law-range").dataset.tone = lawRangeUsed > 1 ? "warning" : "";
-    this.#showWarnings(warnings);
+    this.#showFindings(findings);
     element("refused").hidden = counters.refused === 0;
     write("refused-count", String(counters.refused));
     element("refused").title = counters.lastRefusal ?? "";
@@ -107,14 +111,24 @@ export class Hud {
     this.#pill.ariaExpanded = String(!this.#notice.hidden);
   }
 
-  #showWarnings(texts: readonly string[]): void {
-    element("warnings").hidden = texts.length === 0;
-    write("warnings-count", texts.length === 1 ? "1 warning" : `${texts.length} warnings`);
-    const list = element("warnings-list");
-    if ([...list.children].map((item) => item.textContent).join("\n") !== texts.join("\n")) {
-      list.replaceChildren(...texts.map(listItem));
+  #showFindings(findings: readonly Finding[]): void {
+    const said = JSON.stringify(findings.map(({ message, remedy, place, accepted }) => [message, remedy, place, accepted]));
+    if (said === this.#found) {
+      return; // a list that is rewritten loses its place under a reader
     }
+    this.#found = said;
+    const text = badgeText(findings);
+    this.#badge.hidden = text === "";
+    this.#badge.open &&= text !== "";
+    write("findings-count", text);
+    element("findings-list").replaceChildren(...findings.map(findingItem));
   }
+}
+
+/** The text of the badge: how many findings the scene does not accept; empty if there is none. */
+export function badgeText(findings: readonly Finding[]): string {
+  const count = findings.filter(({ accepted }) => accepted === "").length;
+  return count === 0 ? "" : count === 1 ? "1 finding" : `${count} findings`;
 }
 
 /** The text after the rate of the physics: its target rate, or "in lockstep". */
@@ -148,8 +162,18 @@ function write(id: string, text: string): void {
   setText(element(id), text);
 }
 
-function listItem(text: string): HTMLElement {
+function findingItem({ message, remedy, place, accepted }: Finding): HTMLElement {
   const result = document.createElement("li");
+  result.append(line("p", message));
+  const advice = accepted === "" ? remedy : `Accepted: ${accepted}`;
+  for (const text of [advice, place].filter(Boolean)) {
+    result.append(line("small", text));
+  }
+  return result;
+}
+
+function line(tag: "p" | "small", text: string): HTMLElement {
+  const result = document.createElement(tag);
   result.textContent = text;
   return result;
 }

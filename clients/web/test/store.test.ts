@@ -4,12 +4,13 @@ import { beforeEach, describe, expect, it } from "vitest";
 import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
 import { decodeFrame, decodeTopology } from "../src/stream/decode";
 import { SceneStore, STATUS_HOLDS_NS } from "../src/stream/store";
-import { STAY_MS } from "../src/stream/warnings";
+import { STAY_MS } from "../src/stream/findings";
 import { ATTACHED, f32, frameBytes, topologyBytes } from "./messages";
 
 const frame = (sequence: bigint) => decodeFrame(frameBytes({ sequence }));
 const topology = (version: bigint) => decodeTopology(topologyBytes({ version }));
-const status = (serverTimeNs: bigint, ...warnings: string[]) => create(SceneStatusSchema, { serverTimeNs, warnings });
+const status = (serverTimeNs: bigint, ...messages: string[]) =>
+  create(SceneStatusSchema, { serverTimeNs, findings: messages.map((message, code) => ({ code, body: message, message })) });
 
 describe("SceneStore", () => {
   let store: SceneStore;
@@ -123,9 +124,9 @@ describe("SceneStore", () => {
     store.takeFrame();
     store.refuse("why", "frame");
     store.setStatus(status(9n, "too fast"));
-    expect(store.warnings.texts()).toEqual(["too fast"]);
+    expect(store.findings.list().map(({ message }) => message)).toEqual(["too fast"]);
     store.clear();
-    expect(store.warnings.texts()).toEqual([]);
+    expect(store.findings.list().map(({ message }) => message)).toEqual([]);
     expect([store.topology, store.frame, store.status, store.takeFrame()]).toEqual([null, null, null, null]);
     expect(store.unshown).toBeNull();
     expect(store.counters).toEqual({ drawn: 0, dropped: 0, refused: 0, lastRefusal: null });
@@ -151,14 +152,14 @@ describe("SceneStore", () => {
     expect(store.counters).toMatchObject({ refused: 5, lastRefusal: "frame 4 belongs to another topology" });
   });
 
-  it("forgets status and warnings of the previous scene with its topology", () => {
+  it("forgets status and findings of the previous scene with its topology", () => {
     store.setStatus(status(20n, "too fast"));
     store.setTopology(topology(30n));
     expect(store.status).toBeNull();
-    expect(store.warnings.texts()).toEqual([]);
+    expect(store.findings.list().map(({ message }) => message)).toEqual([]);
     store.setStatus(status(29n, "too fast")); // still under way
     expect(store.status).toBeNull();
-    expect(store.warnings.texts()).toEqual([]);
+    expect(store.findings.list().map(({ message }) => message)).toEqual([]);
   });
 
   it("keeps the new scene's status if it precedes the topology", () => {
@@ -166,31 +167,31 @@ describe("SceneStore", () => {
     store.setStatus(status(31n, "too soft"));
     store.setTopology(topology(30n));
     expect(store.status?.serverTimeNs).toBe(31n);
-    expect(store.warnings.texts()).toEqual(["too soft"]);
+    expect(store.findings.list().map(({ message }) => message)).toEqual(["too soft"]);
   });
 
-  it("forgets warnings of later steps when a recording goes back", () => {
+  it("forgets findings of later steps when a recording goes back", () => {
     const store = new SceneStore();
     store.setStatus(status(2_000_000_000n, "too fast"));
     store.setStatus(status(1_000_000_000n));
-    expect(store.warnings.texts()).toEqual([]);
+    expect(store.findings.list().map(({ message }) => message)).toEqual([]);
   });
 
-  it("keeps status and warnings when the same topology comes again", () => {
+  it("keeps status and findings when the same topology comes again", () => {
     store.setStatus(status(20n, "too fast"));
-    store.setStatus(status(21n)); // a warning that comes and goes stays for a while
+    store.setStatus(status(21n)); // a finding that comes and goes stays for a while
     store.setTopology(topology(7n));
     expect(store.status?.serverTimeNs).toBe(21n);
-    expect(store.warnings.texts()).toEqual(["too fast"]);
+    expect(store.findings.list().map(({ message }) => message)).toEqual(["too fast"]);
   });
 
-  it("expires a warning by the server's clock", () => {
-    const at = (ms: number, ...warnings: string[]) => store.setStatus(status(BigInt(ms) * 1_000_000n, ...warnings));
+  it("expires a finding by the server's clock", () => {
+    const at = (ms: number, ...found: string[]) => store.setStatus(status(BigInt(ms) * 1_000_000n, ...found));
     at(1000, "too fast");
     at(1000 + STAY_MS);
-    expect(store.warnings.texts()).toEqual(["too fast"]);
+    expect(store.findings.list().map(({ message }) => message)).toEqual(["too fast"]);
     at(1001 + STAY_MS);
-    expect(store.warnings.texts()).toEqual([]);
+    expect(store.findings.list().map(({ message }) => message)).toEqual([]);
   });
 
   it("has no current status once frames have advanced without it", () => {

@@ -76,7 +76,7 @@ export function freeArea(window: { width: number; height: number }, header: Edge
   const top = header.bottom + MARGIN;
   const right = window.width - SIDE;
   const lowest = Math.min(readings.top, buttons.top) - MARGIN;
-  // Folded readings have a line or two more than the buttons, for warnings and refused messages.
+  // Folded readings have a line or two more than the buttons, for refused messages.
   const beside = window.width > NARROW_PX && readings.top < buttons.top - FOLDED * (buttons.bottom - buttons.top);
   if (beside) {
     return { left: readings.right + MARGIN, top, right, bottom: buttons.top - MARGIN };

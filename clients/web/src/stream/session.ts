@@ -29,6 +29,7 @@ import {
 import { FrameDecoder } from "./encoded";
 import { History } from "./history";
 import { Pace } from "./pace";
+import type { Finding } from "./findings";
 import { SceneStore, type Counters } from "./store";
 
 /** How long a recovery shows after its last step [ms]. Most last for a few steps, which nobody would see. */
@@ -57,7 +58,7 @@ export interface Readings {
   readonly status: Status | null;
   /** `status` while its numbers are current, else null. */
   readonly currentStatus: Status | null;
-  readonly warnings: readonly string[];
+  readonly findings: readonly Finding[];
   readonly counters: Counters;
   readonly drawRateHz: number | null;
   readonly ageMs: number | null;
@@ -188,7 +189,7 @@ export class Session {
     return {
       status: store.status,
       currentStatus: store.currentStatus,
-      warnings: store.warnings.texts(),
+      findings: store.findings.list(),
       counters: store.counters,
       drawRateHz: store.topology === null ? null : pace.rateHz(nowMs),
       ageMs: pace.ageMs(nowMs),

@@ -1,7 +1,7 @@
 // State of the scene on show: topology, newest frame and status, and counts of losses. Refuses frames that do not match
 // the topology, so that drawing needs no checks.
 import { DecodeError, slotOf, type Field, type Frame, type Status, type StreamName, type Topology } from "./decode";
-import { Warnings } from "./warnings";
+import { Findings } from "./findings";
 
 export interface Counters {
   drawn: number;
@@ -37,7 +37,7 @@ export class SceneStore {
   reference: Reference | null = null;
   /** Rises with each change of `reference` and of the values of a field. */
   valuesRevision = 0;
-  readonly warnings = new Warnings();
+  readonly findings = new Findings();
   /** Rises with each change of the set of objects to draw. */
   topologyRevision = 0;
   readonly counters: Counters = { drawn: 0, dropped: 0, refused: 0, lastRefusal: null };
@@ -110,10 +110,10 @@ export class SceneStore {
       return;
     }
     if (this.status !== null && status.serverTimeNs < this.status.serverTimeNs) {
-      this.warnings.clear(); // a recording went back, to before them
+      this.findings.clear(); // a recording went back, to before them
     }
     this.status = status;
-    this.warnings.update(status.warnings, Number(status.serverTimeNs) / 1e6);
+    this.findings.update(status, Number(status.serverTimeNs) / 1e6);
   }
 
   /** `status` while its numbers are current; null once frames have advanced without it. */
@@ -201,6 +201,6 @@ export class SceneStore {
 
   #forgetStatus(): void {
     this.status = null;
-    this.warnings.clear();
+    this.findings.clear();
   }
 }
