@@ -33,7 +33,7 @@ TEST(Admission, ReportsWhatItAdmits) {
   EXPECT_EQ(report->component_count, 1u);
   EXPECT_DOUBLE_EQ(report->volume_m3, 1.0 / 6.0);
   EXPECT_NEAR(report->min_dihedral_angle_deg, std::acos(1.0 / std::sqrt(3.0)) * 180.0 / std::numbers::pi, 1e-12);
-  EXPECT_TRUE(report->warnings.empty());
+  EXPECT_TRUE(report->findings.empty());
 }
 
 TEST(Admission, ReportsTheSmallestDihedralAngleAndItsElement) {
@@ -113,7 +113,7 @@ TEST_P(AdmissionOf, AdmitsTheReferenceElement) {
   const Result<MeshReport> report = admit(mesh_, "liver");
   ASSERT_TRUE(report) << report.error().message;
   EXPECT_GE(report->min_dihedral_angle_deg, 45.0 - 1e-12);
-  EXPECT_TRUE(report->warnings.empty());
+  EXPECT_TRUE(report->findings.empty());
 }
 
 TEST_P(AdmissionOf, RefusesAMirrorImage) {
@@ -218,9 +218,9 @@ TEST(Admission, WarnsAboutSlivers) {
   Mesh mesh = tetrahedron();
   mesh.nodes[3] = {0.3, 0.3, 1e-3};
   const MeshReport report = admit(mesh, "liver").value();
-  ASSERT_EQ(report.warnings.size(), 1u);
-  EXPECT_NE(report.warnings[0].find("1 elements have a dihedral angle below 5°"), std::string::npos);
-  EXPECT_NE(report.warnings[0].find("in element 0"), std::string::npos);
+  ASSERT_EQ(report.findings.size(), 1u);
+  EXPECT_NE(report.findings[0].text().find("1 elements have a dihedral angle below 5°"), std::string::npos);
+  EXPECT_NE(report.findings[0].text().find("in element 0"), std::string::npos);
 }
 
 TEST(Admission, WarnsAboutSeparateParts) {
@@ -229,8 +229,8 @@ TEST(Admission, WarnsAboutSeparateParts) {
   mesh.blocks.push_back({Shape::kTetrahedron, {4, 5, 6, 7}});
   const MeshReport report = admit(mesh, "liver").value();
   EXPECT_EQ(report.component_count, 2u);
-  ASSERT_EQ(report.warnings.size(), 1u);
-  EXPECT_NE(report.warnings[0].find("2 parts"), std::string::npos);
+  ASSERT_EQ(report.findings.size(), 1u);
+  EXPECT_NE(report.findings[0].text().find("2 parts"), std::string::npos);
 }
 
 TEST(SkinAdmission, ReportsAndRefuses) {
@@ -241,7 +241,7 @@ TEST(SkinAdmission, ReportsAndRefuses) {
   };
   const SkinReport good = admit_skin(vertices, std::vector<Triangle>{{0, 1, 2}, {1, 3, 2}}, "body 'liver'").value();
   EXPECT_EQ(good.triangle_count, 2u);
-  EXPECT_TRUE(good.warnings.empty());
+  EXPECT_TRUE(good.findings.empty());
 
   EXPECT_NE(refusal({}).find("0 triangles"), std::string::npos);
   EXPECT_NE(refusal({{0, 1, 2}, {0, 1, 4}}).find("skin triangle 1 of body 'liver' refers to vertex 4"),
@@ -249,9 +249,9 @@ TEST(SkinAdmission, ReportsAndRefuses) {
   EXPECT_NE(refusal({{0, 1, 1}}).find("skin triangle 0 of body 'liver' repeats a vertex"), std::string::npos);
 
   const SkinReport ugly = admit_skin(vertices, std::vector<Triangle>{{0, 1, 3}}, "body 'liver'").value();
-  ASSERT_EQ(ugly.warnings.size(), 2u);
-  EXPECT_NE(ugly.warnings[0].find("1 triangles without area"), std::string::npos);
-  EXPECT_NE(ugly.warnings[1].find("1 vertices that belong to no triangle"), std::string::npos);
+  ASSERT_EQ(ugly.findings.size(), 2u);
+  EXPECT_NE(ugly.findings[0].text().find("1 triangles without area"), std::string::npos);
+  EXPECT_NE(ugly.findings[1].text().find("1 vertices that belong to no triangle"), std::string::npos);
 
   std::vector<Eigen::Vector3d> broken = vertices;
   broken[2].z() = std::numeric_limits<double>::quiet_NaN();

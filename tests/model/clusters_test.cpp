@@ -277,7 +277,7 @@ TEST(TetrahedronRings, AreAGroupBesideTheirTetrahedra) {
 }
 
 TEST(TetrahedronRings, NeedAMeshOfEightNodes) {
-  Compilation c{v1::Scene{}, {}, {}, {}, {}, {}, {}};
+  Compilation c{v1::Scene{}, {}, {}, {}, {}, {}, {}, {}};
   c.bodies.push_back(body_of(closed_ring(2)));
   c.model.bodies.resize(1);
   c.model.bodies[0].element_count = 2;
@@ -287,13 +287,16 @@ TEST(TetrahedronRings, NeedAMeshOfEightNodes) {
 
 TEST(WedgePairs, WarnOfWedgesThatLock) {
   v1::Scene scene = wedge_bar(0.4999);
-  EXPECT_TRUE(compile(scene, {}).value().warnings.empty());
+  EXPECT_TRUE(compile(scene, {}).value().findings.empty());
   std::vector<double> young(24);
   for (std::size_t e = 0; e < young.size(); ++e) young[e] = 1e6 + static_cast<double>(e);
   scene.mutable_bodies(0)->mutable_element_fields()->set_young_modulus_pa(young.data(), young.size() * sizeof(double));
   const Model model = compile(scene, {}).value();
-  ASSERT_EQ(model.warnings.size(), 1u);
-  EXPECT_NE(model.warnings[0].find("24 of 24 elements of shape wedge"), std::string::npos) << model.warnings[0];
+  ASSERT_EQ(model.findings.size(), 1u);
+  EXPECT_EQ(model.findings[0].code, FindingCode::kUnpairedElements);
+  EXPECT_EQ(model.findings[0].value, 1);
+  const std::string text = model.findings[0].text();
+  EXPECT_NE(text.find("24 of 24 elements of shape wedge"), std::string::npos) << text;
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "model/scene_input.h"
+#include "support/findings.h"
 #include "support/scenes.h"
 
 /// Compares a compiled scene with what its message says.
@@ -229,12 +230,13 @@ TEST(Compile, VisibleSurfaceIsTheBoundaryOfEachBody) {
   EXPECT_EQ(model.visible.count(), 112u);
 }
 
-TEST(Compile, WarningsOfTheMeshReachTheModel) {
+TEST(Compile, FindingsOfTheMeshReachTheModel) {
   v1::Scene scene = tests::beam_scene({.cells_x = 1, .cells_y = 1, .cells_z = 1});
   scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->mutable_size_m()->set_z(0.001);
   const Model model = compiled(scene);
-  ASSERT_FALSE(model.warnings.empty());
-  EXPECT_NE(model.warnings[0].find("'beam'"), std::string::npos) << model.warnings[0];
+  const std::vector<std::string> found = tests::texts(model.findings, FindingCode::kSlivers);
+  ASSERT_EQ(found.size(), 1u);
+  EXPECT_NE(found[0].find("'beam'"), std::string::npos) << found[0];
 }
 
 /// Two cells of Kuhn's tetrahedra along x, made quadratic: 2 × 1 × 1 m, 12 nodes of the mesh and 33 in the middle of

@@ -8,6 +8,7 @@
 
 #include "model/compile.h"
 #include "physics/tool/mesh_solid.h"
+#include "support/findings.h"
 #include "support/scenes.h"
 #include "support/solids.h"
 
@@ -108,17 +109,17 @@ TEST(DistanceField, RefusesWhatIsNotTheSurfaceOfASolid) {
   });
 }
 
-/// A blade that is thinner than the grid resolves is loaded with a warning.
-TEST(SolidTool, OfAThinMeshWarns) {
-  const auto warnings_of = [](double thickness_m) {
+/// A blade that is thinner than the grid resolves is loaded with a finding.
+TEST(SolidTool, OfAThinMeshIsAFinding) {
+  const auto found_at = [](double thickness_m) {
     v1::Scene scene = tests::beam_scene({});
     tests::add_solid(scene, "mesh", {0.1, thickness_m, 0.02}, {0, 1, 0}, 1e6);
-    return compile(scene, {1, 1, matrix::Storage::kEdges}).value().warnings;
+    return tests::texts(compile(scene, {1, 1, matrix::Storage::kEdges}).value().findings, FindingCode::kThinTool);
   };
-  const std::vector<std::string> thin = warnings_of(0.002);
+  const std::vector<std::string> thin = found_at(0.002);
   ASSERT_EQ(thin.size(), 1u);
   EXPECT_NE(thin[0].find("tool 'solid'.mesh.surface is 0.002 m thin"), std::string::npos) << thin[0];
-  EXPECT_TRUE(warnings_of(0.01).empty());
+  EXPECT_TRUE(found_at(0.01).empty());
 }
 
 /// Scenes whose solid tool says nonsense are refused with the name of the field.
