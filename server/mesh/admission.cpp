@@ -10,6 +10,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "core/finding_kinds.h"
 #include "core/limits.h"
 #include "mesh/conformity.h"
 #include "mesh/geometry.h"

@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "core/finding_kinds.h"
 #include "mesh/adjacency.h"
 #include "mesh/shapes.h"
 #include "model/tetrahedron_rings.h"

@@ -3,6 +3,7 @@
 
 #include <fmt/format.h>
 
+#include "core/finding_kinds.h"
 #include "model/compile_parts.h"
 #include "tensormass/v1/scene.pb.h"
 
@@ -33,27 +34,29 @@ void find_large_body(const ReadBody& read, const BodyModel& body, std::vector<Fi
 void find_locking(const ReadBody& read, const BodyModel& body, std::vector<Finding>& findings) {
   if (read.quadrature != physics::Quadrature::kFull) return;
   std::uint32_t count = 0;
-  double largest = 0;
+  double largest = 0, limit = 0;
   const mesh::Topology* shape = nullptr;
+  const mesh::Topology& tetrahedron = mesh::topology(mesh::Shape::kTetrahedron);
   mesh::for_each_element(read.mesh, [&](std::uint32_t e, const mesh::Topology& of, std::span<const std::uint32_t>) {
     const double poisson = read.material(e).poisson_ratio;
-    if (of.has_mid_edge_nodes() || !(poisson > thresholds::kLockingPoisson)) return;
+    const double stands = &of == &tetrahedron ? thresholds::kLockingPoisson : thresholds::kLockingPoissonOfOthers;
+    if (of.has_mid_edge_nodes() || !(poisson > stands)) return;
     ++count;
     shape = &of;
+    limit = stands;
     largest = std::max(largest, poisson);
   });
   if (!(count > thresholds::kLockingPart * body.element_count)) return;
-  const bool tetrahedra = shape == &mesh::topology(mesh::Shape::kTetrahedron);
   findings.push_back(
       {.code = FindingCode::kLocking,
        .value = largest,
-       .limit = thresholds::kLockingPoisson,
+       .limit = limit,
        .place = fmt::format("body '{}'.quadrature", body.name),
        .body = body.name,
        .message = fmt::format("body '{}': linear elements ({}) in full quadrature lock at a Poisson's ratio of {:.5g}: "
-                              "the body is several times too stiff",
+                              "the body is more than twice too stiff",
                               body.name, shape->name, largest),
-       .remedy = fmt::format("give it quadrature: selective{}", tetrahedra ? ", or element_order: quadratic" : "")});
+       .remedy = fmt::format("give it quadrature: selective{}", shape == &tetrahedron ? ", or element_order: quadratic" : "")});
 }
 
 /// A law that gets softer where a tool presses it.

@@ -9,6 +9,7 @@
 
 #include <fmt/format.h>
 
+#include "core/finding_kinds.h"
 #include "model/compile_parts.h"
 #include "model/signed_distance.h"
 

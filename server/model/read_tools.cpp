@@ -7,6 +7,7 @@
 
 #include <fmt/format.h>
 
+#include "core/finding_kinds.h"
 #include "core/limits.h"
 #include "mesh/admission.h"
 #include "model/compile_parts.h"

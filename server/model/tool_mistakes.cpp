@@ -5,6 +5,7 @@
 
 #include <fmt/format.h>
 
+#include "core/finding_kinds.h"
 #include "model/compile_parts.h"
 #include "tensormass/v1/scene.pb.h"
 

@@ -2,6 +2,7 @@
 
 #include <string>
 
+#include "core/finding_kinds.h"
 #include "tensormass/v1/control.pb.h"
 #include "tensormass/v1/finding.pb.h"
 #include "tensormass/v1/stream.pb.h"

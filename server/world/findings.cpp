@@ -10,6 +10,7 @@
 #include <fmt/ranges.h>
 
 #include "core/assert.h"
+#include "core/finding_kinds.h"
 #include "physics/lists.h"
 #include "step/finding_message.h"
 

@@ -10,6 +10,7 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
+#include "core/finding_kinds.h"
 #include "tensormass/v1/control.pb.h"
 #include "tensormass/v1/finding.pb.h"
 #include "tensormass/v1/stream.pb.h"
