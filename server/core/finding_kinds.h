@@ -25,10 +25,13 @@ inline constexpr double kLockingPart = 0.1;
 /// Depth of tissue inside a tool at the start, in radii (of a solid in halves of its thickness). From there on the
 /// contact of a tool hardens (physics::kHardeningBegins).
 inline constexpr double kStartDepthInRadii = 0.25;
-/// Way of a free body in a step where it reaches a tool, as a part of the tool's thickness.
-inline constexpr double kPassingWay = 0.5;
-/// Edge of a surface's triangles, as a part of a tool's width.
-inline constexpr double kCoarseEdge = 1;
+/// Way of a free body in a step where it reaches a thin tool (physics/tool/tool.h), as a part of the tool's thickness.
+/// Rods hold a cube that moves by 0.7 of their thickness, and cut into one that moves by 1.3 of it. Solids follow the
+/// way of the tissue (physics/tool/solid.h), so nothing passes them.
+inline constexpr double kPassingWay = 1;
+/// Edge of a surface's triangles, as a part of a tool's width. A ball then feels 15 % more or less force from place to
+/// place, if it is pressed in by 0.8 of its radius, and 40 % if by 0.3 (docs/findings.md).
+inline constexpr double kCoarseEdge = 0.65;
 /// Depth of a node inside another body, as a part of the smaller mean edge of the two surfaces. A contact begins to
 /// push there, unless the scene says otherwise.
 inline constexpr double kOverlapInEdges = 0.1;
@@ -74,10 +77,12 @@ inline constexpr std::array<FindingKind, 24> kFindingKinds{{
      "depth of tissue inside a tool at the start, in radii or halves of its thickness", "", detail::kAbove,
      thresholds::kStartDepthInRadii, "contact hardens from there on; a middle inside the tissue counts as 1"},
     {detail::kBodyPassesTool, "body_passes_tool", true,
-     "way of a free body in the step in which it reaches a tool, in thicknesses of the tool", "", detail::kAbove,
-     thresholds::kPassingWay, "tissue that is pushed past the middle of a solid leaves it on the other side"},
+     "way of a free body in the step in which it reaches a sphere, a rod or jaws, in thicknesses of the tool", "",
+     detail::kAbove, thresholds::kPassingWay,
+     "a rod cuts into a cube that moves by 1.3 thicknesses a step, and holds it at 0.7; nothing passes a solid"},
     {detail::kCoarseSurface, "coarse_surface", true, "edge of the surface's triangles, in widths of a tool", "",
-     detail::kAbove, thresholds::kCoarseEdge, "a tool between nodes: its held force depends on the place"},
+     detail::kAbove, thresholds::kCoarseEdge,
+     "the force differs by 15 % from place to place, [measured](#coarse-triangles)"},
     {detail::kSofteningLaw, "softening_law", true, "stretch below which a law gets softer, if a tool moves", "",
      detail::kAbove, 0, "1/√3 for St-Venant-Kirchhoff; an ordinary press goes below"},
     {detail::kOverlap, "overlap", true, "depth of a node inside another body", "m", detail::kAbove, detail::kNoLimit,

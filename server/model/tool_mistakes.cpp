@@ -214,7 +214,7 @@ struct Fall {
 void find_passed_tool(const Fall& fall, std::size_t b, const std::vector<Point>& points, Model& m) {
   Finding worst;
   for (const ToolModel& tool : m.tools) {
-    if (std::isinf(tool.width_m)) continue;  // nothing passes a plane
+    if (tool.core_points == 0) continue;  // nothing passes a solid
     const physics::PlacedTool<double> placed = at_start(m, tool);
     double way_m = kLongestFallM;
     with_kind(tool, [&](auto tag) {
@@ -237,7 +237,7 @@ void find_passed_tool(const Fall& fall, std::size_t b, const std::vector<Point>&
              .message = fmt::format("body '{}' moves {:.2g} mm a step where it reaches tool '{}', which is {:.2g} mm "
                                     "thick, so it can pass through",
                                     body, 1e3 * step_m, tool.name, 1e3 * thickness_m),
-             .remedy = fmt::format("take a dt_s of {:.2g} s or less, a thicker tool, or a plane",
+             .remedy = fmt::format("take a dt_s of {:.2g} s or less, a thicker tool, or a solid (box, plane, mesh)",
                                    m.dt_s * thresholds::kPassingWay / value)};
   }
   if (worst.value > 0) m.findings.push_back(worst);
