@@ -20,6 +20,8 @@ inline constexpr std::size_t kMaxCorePoints = 4;
 /// Contacts between bodies, and attachments, of one scene; a scene with more is refused.
 inline constexpr std::size_t kMaxBodyContacts = 256;
 inline constexpr std::size_t kMaxAttachments = 256;
+/// Findings of a load that are kept: each status has them. The last one says how many more there are.
+inline constexpr std::size_t kMaxFindings = 64;
 /// Findings that a scene accepts, and bytes of the reason for one; a scene with more is refused.
 inline constexpr std::size_t kMaxAcceptedFindings = 256;
 inline constexpr std::size_t kMaxReasonLength = 1024;

@@ -8,13 +8,31 @@
 #include <set>
 #include <utility>
 
+#include <fmt/format.h>
+
 #include "bus/keys.h"
+#include "step/finding_message.h"
 
 namespace tensormass::daemon {
 namespace {
 
 /// Longest wait [ms]. A paused scene writes nothing and signals nothing, but its status must still be published.
 constexpr int kIdleWakeUpMs = 50;
+
+/// suppressed: lines of other findings that a limit has kept back.
+void log_finding(const std::string& scene, const v1::Finding& finding, std::uint64_t suppressed) {
+  log::write(finding.accepted().empty() ? spdlog::level::warn : spdlog::level::info, "finding",
+             {{"scene", scene},
+              {"code", step::name_of(finding)},
+              {"value", finding.value()},
+              {"limit", finding.limit()},
+              {"unit", finding.unit()},
+              {"place", finding.place()},
+              {"message", finding.message()},
+              {"remedy", finding.remedy()},
+              {"accepted", finding.accepted()},
+              {"suppressed", suppressed}});
+}
 
 }  // namespace
 
@@ -72,6 +90,7 @@ void Publisher::publish_news() {
     if (runner->take_status(status_)) {
       bus_.publish(scene.status_key, status_, {.retain = true});
       log_recovery(name, scene);
+      log_findings(name, scene);
     }
     if (!has_frame) continue;
     // Sending a large frame takes long; forces that arrived meanwhile go before the next frame.
@@ -93,6 +112,19 @@ void Publisher::log_recovery(const std::string& name, Scene& scene) {
   const bool stopped = !status_.fault().empty();
   if (stopped && !scene.stopped) log::error("scene stopped", {{"scene", name}, {"why", status_.fault()}});
   scene.stopped = stopped;
+}
+
+/// Logs each finding about results once while it lasts.
+void Publisher::log_findings(const std::string& name, Scene& scene) {
+  std::set<std::string> found;
+  for (const v1::Finding& finding : status_.findings()) {
+    if (!step::is_of_results(finding) || !finding.accepted().empty()) continue;
+    const std::string key = fmt::format("{} {} {}", finding.code(), finding.body(), finding.tool());
+    found.insert(key);
+    if (scene.found.contains(key)) continue;
+    if (const auto suppressed = finding_lines_.admit()) log_finding(name, finding, *suppressed);
+  }
+  scene.found = std::move(found);
 }
 
 void Publisher::follow_registry() {
@@ -128,6 +160,7 @@ void Publisher::start_scene(const control::RunnerPtr& runner) {
   bus_.publish(scene.topology_key, runner->topology(), {.retain = true});
   scenes_.emplace(name, std::move(scene));
   log::info("scene loaded", {{"scene", name}, {"bytes", runner->report().bytes_total()}});
+  for (const v1::Finding& finding : runner->report().findings()) log_finding(name, finding, 0);
 }
 
 void Publisher::end_scene(Scene& scene) {

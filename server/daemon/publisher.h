@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <thread>
 #include <vector>
@@ -77,6 +78,7 @@ class Publisher {
     std::string frame_key, status_key, topology_key;
     std::uint64_t recoveries = 0;  // logged so far
     bool stopped = false;          // a fault was logged
+    std::set<std::string> found;   // findings about results that were logged and last
   };
 
   void run();
@@ -90,11 +92,12 @@ class Publisher {
   void end_scene(Scene& scene);
   void publish_feedback(Scene& scene);
   void log_recovery(const std::string& name, Scene& scene);
+  void log_findings(const std::string& name, Scene& scene);
 
   const control::SceneRegistry& registry_;
   bus::Bus& bus_;
   const std::string server_;
-  log::Limiter recovery_lines_;
+  log::Limiter recovery_lines_, finding_lines_;
   WakeUp& wake_up_;
   std::uint64_t generation_ = 0;  // generation of the registry that `scenes_` reflects
   std::map<std::string, Scene> scenes_;

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include "core/finding_kinds.h"
+#include "core/limits.h"
 #include "model/compile_parts.h"
 #include "tensormass/v1/scene.pb.h"
 
@@ -56,7 +57,8 @@ void find_locking(const ReadBody& read, const BodyModel& body, std::vector<Findi
        .message = fmt::format("body '{}': linear elements ({}) in full quadrature lock at a Poisson's ratio of {:.5g}: "
                               "the body is more than twice too stiff",
                               body.name, shape->name, largest),
-       .remedy = fmt::format("give it quadrature: selective{}", shape == &tetrahedron ? ", or element_order: quadratic" : "")});
+       .remedy = fmt::format("give it quadrature: selective{}",
+                             shape == &tetrahedron ? ", or element_order: quadratic" : "")});
 }
 
 /// A law that gets softer where a tool presses it.
@@ -131,6 +133,11 @@ void find_mistakes(Compilation& c) {
   }
   find_mistakes_of_tools(c);
   find_overlaps(c);
+  if (findings.size() > limits::kMaxFindings) {
+    const std::size_t more = findings.size() - limits::kMaxFindings;
+    findings.resize(limits::kMaxFindings);
+    findings.back().remedy += fmt::format(" (and {} more findings)", more);
+  }
   for (Finding& finding : findings) accept(finding, c.model.accepted);
 }
 

@@ -41,4 +41,6 @@ void add_of_load(const Finding& finding, v1::SceneStatus& status) { *status.add_
 
 std::string_view name_of(const v1::Finding& finding) { return kind_of(static_cast<FindingCode>(finding.code())).name; }
 
+bool is_of_results(const v1::Finding& finding) { return !kind_of(static_cast<FindingCode>(finding.code())).at_load; }
+
 }  // namespace tensormass::step

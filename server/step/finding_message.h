@@ -25,5 +25,7 @@ void add_of_load(const Finding& finding, v1::SceneStatus& status);
 
 /// Returns the name of a finding's kind, as in kFindingKinds.
 std::string_view name_of(const v1::Finding& finding);
+/// Returns whether a finding is about results of steps, not about the scene as it was loaded.
+bool is_of_results(const v1::Finding& finding);
 
 }  // namespace tensormass::step

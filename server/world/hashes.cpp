@@ -30,9 +30,10 @@ std::uint64_t hash_of(const v1::Scene& scene) {
     switch (field->number()) {
       case v1::Scene::kNameFieldNumber:
       case v1::Scene::kStreamsFieldNumber:
+      case v1::Scene::kAcceptedFindingsFieldNumber:
       case v1::Scene::kSteppingFieldNumber:
       case v1::Scene::kSolverFieldNumber:
-        continue;  // the first two do not matter, the others follow
+        continue;  // the first three do not matter, the others follow
       default:
         break;
     }

@@ -25,7 +25,7 @@ import tensormass as tm
 from tensormass._src import mesh_files, mesh_geometry, meshes
 from tensormass._src.plain import to_plain
 from tensormass._src.processes import ChildProcess, end_explained
-from tensormass.v1 import control_pb2, guard_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import control_pb2, finding_pb2, guard_pb2, scene_pb2, stream_pb2
 from tensormass_tools import run
 from tensormass_tools.cli import main, parse_length_m
 from tensormass_tools.output import load_line, report_text, status_line
@@ -116,15 +116,18 @@ def test_status_prints_guards_and_warnings_in_full(
     recorder: tuple[Recorder, tm.Server], capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake, server = recorder
-    mended = stream_pb2.SceneStatus(
-        scene="a", guard_events=1, guard_text="step 7 left its bounds", warnings=["steps take 2 s", "hooke is left"]
-    )
+    slow = finding_pb2.Finding(code="FINDING_CODE_BUDGET_EXCEEDED", message="steps take 2 s", remedy="be patient")
+    mended = stream_pb2.SceneStatus(scene="a", guard_events=1, guard_text="step 7 left its bounds", findings=[slow])
+    mended.findings.add(code="FINDING_CODE_LAW_RANGE", body="b", message="hooke is left", remedy="come back")
+    mended.findings.add(code="FINDING_CODE_LAW_RANGE", body="c", message="hooke too", remedy="no", accepted="a test")
+    mended.findings.add(code="FINDING_CODE_LOCKING", message="said at load", remedy="no")
     stopped = stream_pb2.SceneStatus(scene="b", guard_events=1, guard_text="step 9 did", fault="step 9 did")
     fake.replies["ListScenes"] = control_pb2.ListScenesResponse(scenes=[mended, stopped])
     assert main(["status", "--server", server.address]) == 0
     a, *notes, b = capsys.readouterr().out.splitlines()[3:]
     assert a.startswith("a: ")
-    assert notes == ["guard: step 7 left its bounds", "warning: steps take 2 s", "warning: hooke is left"]
+    slow_line, left_line = "warning: steps take 2 s; be patient", "warning: hooke is left; come back"
+    assert notes == ["guard: step 7 left its bounds", slow_line, left_line]
     assert b.count("step 9 did") == 1
 
 
@@ -174,8 +177,9 @@ def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pyte
         stages=[control_pb2.PlanStage(name="assemble", bytes=12_345_678, operations=9_000)],
         buffers=[control_pb2.PlanBuffer(name=name, bytes=size) for name, size in (("tensors", 777), ("rows", 123_456))],
         not_modelled=["contact: the scene has no tools"],
-        warnings=["body 'beam' has 2 components"],
     )
+    report.findings.add(code="FINDING_CODE_SEPARATE_PARTS", message="body 'beam' has 2 components", remedy="fix both")
+    report.findings.add(code="FINDING_CODE_LOCKING", message="it locks", remedy="no", accepted="a test")
     fake.replies["LoadScene"] = control_pb2.LoadSceneResponse(report=report)
     command = ["load", "beam", "--server", server.address, "--name", "mine", "--lockstep"]
     assert main(command) == 0
@@ -183,7 +187,8 @@ def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pyte
     assert (sent.name, sent.stepping.lockstep) == ("mine", True)
     text = capsys.readouterr().out
     parts = ["123", "6.4e+06 cm³", "assemble", "12.3 MB", "9,000", "777 B", "123 kB", "the scene has no tools"]
-    for part in (*parts, "2 components"):
+    found = ("  separate_parts: body 'beam' has 2 components; fix both\n", "  locking: it locks (a test)\n")
+    for part in (*parts, *found):
         assert part in text
     assert text.startswith(f"server {server.address}\n")
     # Users ask first what is simulated, and last how the memory is divided.
@@ -547,14 +552,6 @@ def test_a_size_that_is_probably_in_millimetres_is_pointed_out(
         assert tm.Scene.from_file(source).message.bodies[0].mesh.scale == 0.001
     assert not tm.Scene.from_file(output).message.bodies[0].mesh.HasField("scale")
 
-    def text(volume_m3: float) -> str:
-        bodies = [control_pb2.BodyReport(name="liver", volume_m3=volume_m3)]
-        return report_text(control_pb2.SceneReport(bodies=bodies), scene_pb2.Scene())
-
-    assert "body 'liver' has a volume of 1.5e+06 m³; if its mesh is in millimetres, give mesh.scale: 0.001" in text(
-        1.5e6
-    )
-    assert "warnings" not in text(1.5e-3)
 
 
 def test_mesh_names_what_it_drops_and_keeps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

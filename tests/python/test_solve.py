@@ -18,7 +18,7 @@ from test_meshes import mixed_mesh
 import tensormass as tm
 from tensormass._src import grids, mesh_files, mesh_repair, meshes, processes
 from tensormass._src.fields import FIELD_NAMES, NODE_FIELDS
-from tensormass.v1 import control_pb2, stream_pb2
+from tensormass.v1 import finding_pb2, control_pb2, stream_pb2
 from tensormass_tools.cli import main
 from tensormass_tools.output import Warnings
 
@@ -484,15 +484,19 @@ def test_the_builtin_cantilever_is_solved_by_a_daemon_of_its_own(
     assert len(meshio.read(out).cells[0].data) == 20 * 4 * 4
 
 
-def test_a_warning_whose_numbers_change_is_one_warning() -> None:
+def test_a_finding_whose_numbers_change_is_one_warning() -> None:
+    def left(body: str, strain: str) -> finding_pb2.Finding:
+        return finding_pb2.Finding(
+            code="FINDING_CODE_LAW_RANGE", body=body, message=f"strain {strain} in {body}", remedy="take another law"
+        )
+
     warnings = Warnings()
-    first = "body 'b1': hooke has left its range: strain 0.2, rotation 1e-05 rad"
-    assert warnings.take(stream_pb2.SceneStatus(warnings=[first])) == [first]
-    second = "body 'b1': hooke has left its range: strain 3, rotation -2.5e+01 rad"
-    assert warnings.take(stream_pb2.SceneStatus(warnings=[second])) == []
-    other = "body 'b2': hooke has left its range: strain 3, rotation 2 rad"
-    assert warnings.take(stream_pb2.SceneStatus(warnings=[second, other])) == [other]
-    assert warnings.latest == [second, other]
+    first, second, other = left("b1", "0.2"), left("b1", "3"), left("b2", "3")
+    assert warnings.take(stream_pb2.SceneStatus(findings=[first])) == ["strain 0.2 in b1; take another law"]
+    assert warnings.take(stream_pb2.SceneStatus(findings=[second])) == []
+    assert warnings.take(stream_pb2.SceneStatus(findings=[second, other])) == ["strain 3 in b2; take another law"]
+    assert warnings.latest() == ["strain 3 in b1; take another law", "strain 3 in b2; take another law"]
+    assert warnings.latest(without=(finding_pb2.FINDING_CODE_LAW_RANGE,)) == []
 
 
 def test_the_status_names_newton_only_where_it_iterates(
