@@ -16,6 +16,7 @@ CONTENTS = {
         "examples/README",
         "clients/haptic/README",
         "docs/haptics",
+        "docs/findings",
         "docs/protocol",
     ],
     "Reference": ["docs/site/python", "docs/site/haptic"],

@@ -53,7 +53,7 @@ struct FindingKind {
   std::string_view name;  ///< that of the protocol without its prefix, in lower case
   bool at_load;           ///< else while the scene steps
   std::string_view value;
-  std::string_view unit;  ///< of value and limit; empty: a ratio or a count
+  std::string_view unit;  ///< unit of value and limit; empty: a ratio or a count
   Shown shown;
   double limit;               ///< NaN: the scene gives it, or its law
   std::string_view limit_is;  ///< where the limit comes from, for docs/findings.md

@@ -323,7 +323,7 @@ struct Model {
   std::vector<ToolModel> tools;
   std::vector<BodyContactModel> body_contacts;
   std::vector<float> tool_samples;        ///< signed distances of tools, see physics/tool/mesh_solid.h
-  std::vector<Finding> findings;          ///< of the load
+  std::vector<Finding> findings;          ///< those of the load
   std::vector<AcceptedFinding> accepted;  ///< also while the scene steps
 
   matrix::Layout layout;

@@ -46,7 +46,7 @@ struct RestSurface {
   }
 };
 
-/// What was found of one body inside another.
+/// Nodes of one body inside another.
 struct Inside {
   std::size_t count = 0;
   double deepest_m = 0;

@@ -81,7 +81,7 @@ std::size_t enclosing_body(const StartSurface& surface, std::size_t body_count, 
 
 /// Tissue in a tool at the start.
 struct Start {
-  double depth_m = 0;  ///< of the surface inside the tool
+  double depth_m = 0;  ///< largest depth of the surface inside the tool
   std::size_t body = 0;
   bool encloses = false;  ///< the tissue encloses a point of the core; for a solid its middle
 };

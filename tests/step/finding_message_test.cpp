@@ -77,7 +77,7 @@ TEST(FindingMessage, HasEverythingOfAFinding) {
   EXPECT_EQ(name_of(report.findings(0)), "overlap");
 }
 
-TEST(FindingMessage, OfAnAcceptedFindingIsNoWarning) {
+TEST(FindingMessage, OfAnAcceptedFindingGivesNoWarning) {
   Finding finding{.code = FindingCode::kOverlap, .body = "a", .other = "b"};
   accept(finding, {{FindingCode::kLocking, "", "", "no"}, {FindingCode::kOverlap, "c", "", "no"}});
   EXPECT_EQ(finding.accepted, "");

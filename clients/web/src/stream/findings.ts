@@ -7,7 +7,7 @@ export const STAY_MS = 5000;
 /** How long a finding keeps its wording [ms]. */
 export const REWORD_MS = 2000;
 
-/** What is probably a mistake in the scene, or wrong with its results. */
+/** A probable mistake in the scene, or a fault of its results. */
 export interface Finding {
   readonly message: string;
   readonly remedy: string;
