@@ -139,9 +139,9 @@ void find_tool_inside(const StartSurface& surface, const ToolModel& tool, Model&
          .tool = tool.name,
          .message =
              start.encloses
-                 ? fmt::format("tool '{}' starts inside body '{}', which pushes it with a large force", tool.name, body)
-                 : fmt::format("tool '{}' starts with tissue of body '{}' {:.3g} mm inside it, which pushes it "
-                               "with a large force",
+                 ? fmt::format("tool '{}' starts inside body '{}', so its first forces mean nothing", tool.name, body)
+                 : fmt::format("tool '{}' starts with tissue of body '{}' {:.3g} mm inside it, so its first "
+                               "forces are large",
                                tool.name, body, 1e3 * start.depth_m),
          .remedy = "start it outside of the tissue, and move it there"});
   });

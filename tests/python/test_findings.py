@@ -9,7 +9,6 @@ import time
 import warnings
 from pathlib import Path
 
-import numpy as np
 import pytest
 from service_parts import DEADLINE_S, block
 from tensormass_tools.cli import main
@@ -188,8 +187,8 @@ def test_the_log_has_a_line_for_each_finding() -> None:
 def test_a_tool_inside_tissue_and_overlapping_bodies_are_found_by_name(server: tm.Server) -> None:
     scene = block()
     scene.message.tools[0].position_m.z = 0.03
-    nodes = np.asarray(tm.grid([2, 2, 2], [0.02] * 3).nodes)
-    scene.add_body("other", tm.grid([2, 2, 2], [0.02] * 3, origin_m=(0.01, 0.01, 0.01)), fixed_nodes=nodes[:, 2] < 1)
+    inner = tm.grid([2, 2, 2], [0.02] * 3, origin_m=(0.01, 0.01, 0.01))
+    scene.add_body("other", inner, density_kg_per_m3=1000, fixed_nodes=inner.nodes[:, 2] < 1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         report = server.inspect(scene)

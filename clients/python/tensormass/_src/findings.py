@@ -118,4 +118,4 @@ def warn_of(findings: Iterable[finding_pb2.Finding]) -> None:
         if sys.version_info >= (3, 12):
             warnings.warn(warning, skip_file_prefixes=(_PACKAGE,))
         else:
-            warnings.warn(warning, stacklevel=4)
+            warnings.warn(warning, stacklevel=3)
