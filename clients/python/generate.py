@@ -36,7 +36,14 @@ def main() -> int:
         ]
     )
     if code == 0:
-        for name in ("finding", "gateway", "guard", "recording", "scene", "stream"):  # without services, so the stubs have no content
+        for name in (
+            "finding",
+            "gateway",
+            "guard",
+            "recording",
+            "scene",
+            "stream",
+        ):  # without services, so the stubs have no content
             (OUTPUT / f"{name}_pb2_grpc.py").unlink(missing_ok=True)
         marker.write_text('"""The protocol, generated from proto/tensormass/v1 by generate.py."""\n')
     return int(code)

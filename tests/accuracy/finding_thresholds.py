@@ -3,8 +3,8 @@
     python tests/accuracy/finding_thresholds.py locking | coarse
 
 A linear element in full quadrature cannot change its shape without changing its volume, so a beam of nearly
-incompressible tissue bends too little. A ball that is smaller than the triangles it touches feels another force at a node
-than between nodes.
+incompressible tissue bends too little. A ball that is smaller than the triangles it touches feels another force at a
+node than between nodes.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import sys
 
 import numpy as np
 import numpy.typing as npt
+
 import tensormass as tm
 
 POISSON_RATIOS = (0.45, 0.47, 0.48, 0.49, 0.495, 0.499)

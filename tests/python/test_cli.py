@@ -553,7 +553,6 @@ def test_a_size_that_is_probably_in_millimetres_is_pointed_out(
     assert not tm.Scene.from_file(output).message.bodies[0].mesh.HasField("scale")
 
 
-
 def test_mesh_names_what_it_drops_and_keeps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     box = tm.grid([1, 1, 1], [0.1, 0.1, 0.1])
     source, output = tmp_path / "in.vtu", tmp_path / "out.vtu"

@@ -18,7 +18,7 @@ from test_meshes import mixed_mesh
 import tensormass as tm
 from tensormass._src import grids, mesh_files, mesh_repair, meshes, processes
 from tensormass._src.fields import FIELD_NAMES, NODE_FIELDS
-from tensormass.v1 import finding_pb2, control_pb2, stream_pb2
+from tensormass.v1 import control_pb2, finding_pb2, stream_pb2
 from tensormass_tools.cli import main
 from tensormass_tools.output import Warnings
 

@@ -21,8 +21,8 @@ from typing import Any
 
 from tensormass._src.demo import builtin_scenes
 from tensormass._src.errors import InvalidArgumentError, MeshFileWarning, TensormassError
-from tensormass._src.findings import FIRST_OF_RESULTS, FindingWarning
 from tensormass._src.extras import require
+from tensormass._src.findings import FIRST_OF_RESULTS, FindingWarning
 from tensormass._src.plain import to_plain
 from tensormass._src.processes import end_explained
 from tensormass._src.scene import Scene
@@ -359,12 +359,8 @@ def _report(args: argparse.Namespace) -> int:
 
 def _inspect(args: argparse.Namespace) -> int:
     scene = Scene.from_file(args.scene)
-    with (
-        daemon_of(args) as server,
-        end_explained(server.process, server.log_file),
-    ):
-        with _report_has_findings():
-            report = server.inspect(scene)
+    with daemon_of(args) as server, end_explained(server.process, server.log_file), _report_has_findings():
+        report = server.inspect(scene)
     print_json(to_plain(report)) if args.json else print(report_text(report, scene.message))
     return 0
 

@@ -114,7 +114,7 @@ class Server(Connection):
     def inspect(self, scene: SceneSource) -> control_pb2.SceneReport:
         """Checks and compiles a scene without running it. Raises the errors and issues the warnings of `load`."""
         request = control_pb2.InspectSceneRequest(scene=_message_of(scene, None, None))
-        report = self.call("InspectScene", request, timeout_s=LOAD_TIMEOUT_S).report
+        report: control_pb2.SceneReport = self.call("InspectScene", request, timeout_s=LOAD_TIMEOUT_S).report
         findings.warn_of(report.findings)
         return report
 
