@@ -1,4 +1,4 @@
-"""Reads a mesh file in a child process, because files come from strangers: with limits of time and memory."""
+"""Reads a mesh file or a label map in a child process, because files come from strangers: with limits of time and memory."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.label_formats import content
 from tensormass._src.mesh_formats import finish, limits, reading
 from tensormass._src.mesh_formats.raw import FormatError
 
 # Longest first line of a child [bytes]: names of sets and notes.
 _MAX_HEAD = 1 << 24
-_TYPES = ("<f8", "<u4", "<f4")
+_TYPES = ("<f8", "<u4", "<f4", "<u2")
 # Imports the readers without the rest of the SDK, which would take longer than reading.
 _BOOT = """
 import sys, types
@@ -44,8 +45,8 @@ def volume(path: Path, *, trusted: bool = False) -> finish.Volume:
     """
     if trusted:
         return _here(reading.read_volume, path)
-    notes, arrays = _read("volume", path)
-    out = finish.Volume(np.empty((0, 3)), [], {}, {}, notes)
+    head, arrays = _read("volume", path)
+    out = finish.Volume(np.empty((0, 3)), [], {}, {}, head["notes"])
     for name, array in arrays:
         if name[0] == "points":
             out.points = array
@@ -62,9 +63,20 @@ def surface(path: Path, *, trusted: bool = False) -> finish.Surface:
     """Reads a surface like `volume`."""
     if trusted:
         return _here(reading.read_surface, path)
-    notes, arrays = _read("surface", path)
+    head, arrays = _read("surface", path)
     found = {name[0]: array for name, array in arrays}
-    return finish.Surface(found["points"], found["triangles"], found.get("texture"), notes)
+    return finish.Surface(found["points"], found["triangles"], found.get("texture"), head["notes"])
+
+
+def labels(path: Path) -> content.Labels:
+    """Reads a label map like `volume`."""
+    head, arrays = _read("labels", path, 2 * content.MAX_VOXELS + _MAX_HEAD)
+    found = {name[0]: array for name, array in arrays}
+    segments = [
+        content.Segment(**{**of, "color": None if of["color"] is None else tuple(of["color"])})
+        for of in head["segments"]
+    ]
+    return content.Labels(found["voxels"], found["affine"], segments, head["notes"])
 
 
 def _here(read: Any, path: Path) -> Any:  # noqa: ANN401
@@ -76,7 +88,11 @@ def _here(read: Any, path: Path) -> Any:  # noqa: ANN401
         raise InvalidArgumentError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _read(kind: str, path: Path) -> tuple[list[str], list[tuple[list[str], npt.NDArray[Any]]]]:
+def _read(
+    kind: str, path: Path, most: int | None = None
+) -> tuple[dict[str, Any], list[tuple[list[str], npt.NDArray[Any]]]]:
+    """Returns the first line of a child, and its arrays by name. `most` bytes of them are taken; None: by the size of
+    the file."""
     size = path.stat().st_size
     limit_s = limits.time_limit_s(size)
     process = subprocess.Popen(
@@ -105,8 +121,9 @@ def _read(kind: str, path: Path) -> tuple[list[str], list[tuple[list[str], npt.N
             raise InvalidArgumentError(f"{path}: {_why_ended(process, late.is_set(), limit_s)}")
         if "error" in head:
             raise InvalidArgumentError(str(head["error"]))
-        most = max(limits.MEMORY_FLOOR, limits.MAX_EXPANSION * size)
-        return list(head["notes"]), list(_arrays(process.stdout, head["arrays"], most, path))
+        if most is None:
+            most = max(limits.MEMORY_FLOOR, limits.MAX_EXPANSION * size)
+        return head, list(_arrays(process.stdout, head["arrays"], most, path))
     finally:
         timer.cancel()
         process.kill()

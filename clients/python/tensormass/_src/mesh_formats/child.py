@@ -1,6 +1,6 @@
 """The process that reads one file: prints a line of JSON and then the bytes of the arrays that it lists.
 
-python -m tensormass._src.mesh_formats.child volume|surface FILE
+python -m tensormass._src.mesh_formats.child volume|surface|labels FILE
 """
 
 from __future__ import annotations
@@ -10,15 +10,24 @@ import os
 import resource
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._src.label_formats import content
+from tensormass._src.label_formats import reading as label_reading
 from tensormass._src.mesh_formats import finish, limits, reading
 from tensormass._src.mesh_formats.raw import FormatError
+
+_READ: dict[str, Callable[[Path], finish.Volume | finish.Surface | content.Labels]] = {
+    "volume": reading.read_volume,
+    "surface": reading.read_surface,
+    "labels": label_reading.read,
+}
 
 
 def main(kind: str, file: str) -> None:
@@ -30,8 +39,7 @@ def main(kind: str, file: str) -> None:
         limit_s = int(limits.time_limit_s(size))
         resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 1))
         limits.limit_memory(path)
-        result = reading.read_volume(path) if kind == "volume" else reading.read_surface(path)
-        head, arrays = _packed(result)
+        head, arrays = _packed(_READ[kind](path))
     except FormatError as error:
         head, arrays = {"error": str(error)}, []
     except MemoryError:
@@ -40,7 +48,8 @@ def main(kind: str, file: str) -> None:
         head, arrays = {"error": f"{path}: cannot be read: {error.strerror}"}, []
     except Exception as error:
         # A mistake in a reader. The file is refused, and the program goes on.
-        head, arrays = {"error": f"{path}: not readable as a mesh: {type(error).__name__}: {error}"}, []
+        what = "label map" if kind == "labels" else "mesh"
+        head, arrays = {"error": f"{path}: not readable as a {what}: {type(error).__name__}: {error}"}, []
     out = sys.stdout.buffer
     out.write(json.dumps(head).encode() + b"\n")
     for array in arrays:
@@ -57,11 +66,16 @@ def memory_message(path: Path) -> str:
     )
 
 
-def _packed(result: finish.Volume | finish.Surface) -> tuple[dict[str, Any], Sequence[npt.NDArray[Any]]]:
+def _packed(result: finish.Volume | finish.Surface | content.Labels) -> tuple[dict[str, Any], Sequence[npt.NDArray[Any]]]:
     """Returns what is printed: names, types and shapes, and the arrays."""
     names: list[tuple[str, ...]]
     arrays: list[npt.NDArray[Any]]
-    if isinstance(result, finish.Volume):
+    more: dict[str, Any] = {}
+    if isinstance(result, content.Labels):
+        names = [("voxels",), ("affine",)]
+        arrays = [np.ascontiguousarray(result.voxels, "<u2"), np.ascontiguousarray(result.affine, "<f8")]
+        more["segments"] = [asdict(segment) for segment in result.segments]
+    elif isinstance(result, finish.Volume):
         names, arrays = [("points",)], [np.ascontiguousarray(result.points, "<f8")]
         for shape, nodes in result.blocks:
             names.append(("block", shape))
@@ -82,4 +96,4 @@ def _packed(result: finish.Volume | finish.Surface) -> tuple[dict[str, Any], Seq
         {"name": name, "dtype": array.dtype.str, "shape": array.shape}
         for name, array in zip(names, arrays, strict=True)
     ]
-    return {"arrays": listed, "notes": result.notes}, arrays
+    return {"arrays": listed, "notes": result.notes, **more}, arrays
