@@ -28,7 +28,7 @@ from tensormass._src.processes import end_explained
 from tensormass._src.scene import Scene
 from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
-from tensormass_tools import desktop, export, hand, load_test, mesh_command, modes, recording, run, solve
+from tensormass_tools import desktop, export, hand, load_test, mesh_command, modes, organ_command, recording, run, solve
 from tensormass_tools.daemon_arguments import add_daemon_arguments, daemon_of
 from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
 from tensormass_tools.output import (
@@ -255,6 +255,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     mesh_command.add_arguments(sub, parse_length_m)
     sub.set_defaults(command=mesh_command.run)
+
+    sub = commands.add_parser(
+        "organ",
+        parents=[json_option],
+        help="make a scene of a segmentation: tetrahedra, modulus and supports",
+        description="Makes a scene of the segments of a label map (3D Slicer, NIfTI, NRRD), or of a closed surface: "
+        "tetrahedra with the volume of the voxels, a modulus with its source, and supports where other segments touch. "
+        "Without --segment, lists the segments. Positions are LPS in metres.",
+    )
+    organ_command.add_arguments(sub, parse_length_m)
+    sub.set_defaults(command=organ_command.run)
 
     sub = commands.add_parser(
         "view",

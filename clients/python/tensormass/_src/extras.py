@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Iterable
 
 from tensormass._src.errors import NotFoundError
 
@@ -11,6 +12,7 @@ EXTRAS = {
     "desktop": {"pyvista": "pyvista"},
     "meshes": {"lz4": "lz4"},
     "modes": {"scikit-fem": "skfem", "SciPy": "scipy"},
+    "organs": {"scikit-image": "skimage", "SciPy": "scipy", "pytetwild": "pytetwild"},
     "plot": {"matplotlib": "matplotlib"},
     "record": {"mcap": "mcap", "mcap-protobuf-support": "mcap_protobuf", "zstandard": "zstandard"},
     "tetrahedra": {"pytetwild": "pytetwild"},
@@ -26,4 +28,9 @@ def require(extra: str, what: str) -> None:
     """
     packages = EXTRAS[extra]
     if any(importlib.util.find_spec(module) is None for module in packages.values()):
-        raise NotFoundError(f"{what} needs {' and '.join(packages)}; install with: pip install 'tensormass[{extra}]'")
+        raise NotFoundError(f"{what} needs {_listed(packages)}; install with: pip install 'tensormass[{extra}]'")
+
+
+def _listed(packages: Iterable[str]) -> str:
+    *first, last = packages
+    return f"{', '.join(first)} and {last}" if first else last

@@ -41,7 +41,7 @@ def repair(mesh: VolumeMesh, *, largest: bool = False) -> VolumeMesh:
             f"{_elements(int(again.sum()), 'repeats', 'repeat')} the nodes of another one, and only that is kept"
         )
     kept = solid & ~again
-    component = _components(len(mesh.nodes), [elements for _, elements in compact(mesh, kept, renumber=False).blocks])
+    component = components(len(mesh.nodes), [elements for _, elements in compact(mesh, kept, renumber=False).blocks])
     of_element = np.concatenate([component[elements[:, 0]] for _, elements in mesh.blocks])
     kept &= _kept_parts(of_element, np.where(kept, np.abs(volumes), 0.0), notes, largest=largest)
     out = compact(rewind(mesh), kept)
@@ -137,7 +137,7 @@ def compact(mesh: VolumeMesh, kept: npt.NDArray[np.bool_] | None = None, *, renu
     )
 
 
-def _components(node_count: int, blocks: Sequence[npt.NDArray[np.integer]]) -> npt.NDArray[np.int64]:
+def components(node_count: int, blocks: Sequence[npt.NDArray[np.integer]]) -> npt.NDArray[np.int64]:
     """Labels each node with the smallest node index of its component. Merges labels and halves the chains of labels
     until nothing changes."""
     label = np.arange(node_count, dtype=np.int64)
