@@ -114,8 +114,8 @@ def test_volume_under_a_warped_side_is_exact() -> None:
 def test_components_of_a_long_chain_are_one() -> None:
     chain = np.arange(2000)[:, None] + np.arange(4)[None, :]
     shuffled = np.random.default_rng(1).permutation(2003)[chain]
-    assert len(np.unique(mesh_repair._components(2003, [shuffled]))) == 1
-    assert len(np.unique(mesh_repair._components(2003, [np.delete(shuffled, range(999, 1002), axis=0)]))) == 2
+    assert len(np.unique(mesh_repair.components(2003, [shuffled]))) == 1
+    assert len(np.unique(mesh_repair.components(2003, [np.delete(shuffled, range(999, 1002), axis=0)]))) == 2
 
 
 def test_a_closed_surface_becomes_a_volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

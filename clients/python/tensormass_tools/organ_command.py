@@ -14,7 +14,7 @@ from tensormass._src import mesh_reading, segments
 from tensormass._src.errors import InvalidArgumentError, NotFoundError
 from tensormass._src.extras import require
 from tensormass._src.label_formats import reading
-from tensormass_tools import organ_bodies, organ_scene, tissues
+from tensormass_tools import organ_bodies, organ_gaps, organ_scene, tissues
 from tensormass_tools.output import check_writable, print_json
 
 Length = Callable[[str], float]
@@ -99,6 +99,7 @@ def run(args: argparse.Namespace) -> int:
     )
     start = time.perf_counter()
     bodies, notes = (organ_bodies.from_labels if is_labels else organ_bodies.from_surface)(path, wish)
+    organ_gaps.separate(bodies)
     written = organ_scene.write(output, bodies, args.law, organ_scene.Source(path.name, notes))
     took_s = time.perf_counter() - start
     if args.json:

@@ -11,9 +11,10 @@ import numpy as np
 from tensormass._src import mesh_files, mesh_geometry
 from tensormass._src.meshes import BoolArray, FloatArray
 from tensormass_tools.organ_bodies import HELD, Body
+from tensormass_tools.organ_gaps import GAP
 
 #: Laws that Young's modulus and Poisson's ratio give.
-LAWS = ("stable_neo_hookean", "neo_hookean", "st_venant_kirchhoff", "linear", "corotated")
+LAWS = ("stable_neo_hookean", "neo_hookean", "corotational", "hencky", "st_venant_kirchhoff", "hooke")
 # Smallest radius of the probe [m].
 _MIN_RADIUS_M = 5e-3
 # Distance from the tissue to the probe's surface, in radii.
@@ -117,7 +118,8 @@ def _ties(bodies: Sequence[Body]) -> list[str]:
         return []
     contacts, springs = ["body_contacts:"], ["attachments:"]
     for body, other in pairs:
-        contacts.append(f"  - {{body: {body.name}, other: {other.name}}}")
+        distance_m = GAP / 2 * min(body.edge_m, other.edge_m)
+        contacts.append(f"  - {{body: {body.name}, other: {other.name}, distance_m: {_number(distance_m)}}}")
         area_m2 = _area(body, body.touches[other.name])
         softer_pa = min(body.tissue.young_modulus_pa.value, other.tissue.young_modulus_pa.value)
         edge_m = max(body.edge_m, other.edge_m)
