@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src import mesh_geometry
-from tensormass._src.meshes import FloatArray, VolumeMesh
+from tensormass._src import mesh_geometry, segment_surface
+from tensormass._src.meshes import BoolArray, FloatArray, VolumeMesh
 from tensormass_tools.organ_bodies import Body
 
 #: Distance of two bodies that touch, in edges. Their contact starts at half of it.
@@ -26,7 +26,7 @@ _MAX_LOSS = 0.7
 
 
 def separate(bodies: Sequence[Body]) -> None:
-    """Moves nodes of bodies that touch out of each other. Volumes shrink by what overlaps."""
+    """Moves nodes of bodies that touch out of each other. Volumes stay."""
     pairs = [
         (body, other)
         for body in bodies
@@ -40,19 +40,29 @@ def separate(bodies: Sequence[Body]) -> None:
         if not any(moved):
             break
     for body in bodies:
-        lost_m3 = start[body.name] - body.mesh_volume_m3
-        if lost_m3 != 0:
-            body.notes.append(
-                f"{1e6 * lost_m3:.3g} mL ({100 * lost_m3 / body.volume_m3:.2f} %) of it make room for what it touches"
-            )
+        if body.mesh_volume_m3 != start[body.name]:
+            _restore_volume(body, start[body.name], before[body.name])
+
+
+def _restore_volume(body: Body, volume_m3: float, volumes: FloatArray) -> None:
+    """Moves the rest of the boundary out by as much as the body has lost, unless that spoils an element."""
+    triangles = mesh_geometry.boundary_triangles(body.mesh).astype(np.int64)
+    free = ~np.logical_or.reduce(list(body.touches.values()))
+    if not free[triangles].any():
+        return
+    nodes = segment_surface.with_volume(body.mesh.nodes, triangles, volume_m3, free)
+    mesh = replace(body.mesh, nodes=nodes)
+    if (mesh_geometry.signed_volumes(mesh) >= (1 - _MAX_LOSS) * volumes).all():
+        body.mesh = mesh
 
 
 def _move_out(body: Body, other: Body, volumes: Mapping[str, FloatArray]) -> bool:
     """Moves nodes of one body out of the other, and the triangles there away from them. Returns whether any moved."""
     from scipy.spatial import KDTree
 
-    triangles, places, normals = _samples(other.mesh)
-    outer = np.unique(mesh_geometry.boundary_triangles(body.mesh))
+    triangles, places, normals = _samples(other.mesh, other.touches[body.name])
+    own_triangles = mesh_geometry.boundary_triangles(body.mesh)
+    outer = np.unique(own_triangles[body.touches[other.name][own_triangles].any(axis=1)])
     edge_m = min(body.edge_m, other.edge_m)
     nodes = body.mesh.nodes
     distance, nearest = KDTree(places).query(nodes[outer], distance_upper_bound=_REACH * edge_m)
@@ -94,9 +104,14 @@ _WEIGHTS = 0.98 * np.array([[i, j, 6 - i - j] for i in range(7) for j in range(7
 _SAMPLES = len(_WEIGHTS)
 
 
-def _samples(mesh: VolumeMesh) -> tuple[npt.NDArray[np.integer], FloatArray, FloatArray]:
-    """Returns the triangles of the boundary, `_SAMPLES` points on each, and the normals there."""
+def _samples(mesh: VolumeMesh, nodes: BoolArray) -> tuple[npt.NDArray[np.integer], FloatArray, FloatArray]:
+    """Returns the triangles of the boundary at some nodes, `_SAMPLES` points on each, and the normals there."""
     triangles = mesh_geometry.boundary_triangles(mesh)
+    near = nodes[triangles].any(axis=1)
+    # One ring of triangles more, because the nearest one of a node may lie there.
+    around = np.zeros(len(mesh.nodes), bool)
+    around[triangles[near]] = True
+    triangles = triangles[around[triangles].any(axis=1)]
     corner = mesh.nodes[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)

@@ -54,7 +54,7 @@ def open_edges(triangles: npt.NDArray[np.integer]) -> int:
     count = int(triangles.max()) + 1
     forth, repeats = np.unique(start * count + end, return_counts=True)
     back = np.unique(end * count + start)
-    return int((repeats > 1).sum()) + len(np.setxor1d(forth, back, assume_unique=True))
+    return int((repeats > 1).sum()) + len(np.setdiff1d(forth, back, assume_unique=True))
 
 
 def _blocks(
@@ -98,8 +98,11 @@ def _smoothed(vertices: FloatArray, triangles: npt.NDArray[np.int64]) -> FloatAr
     return vertices
 
 
-def with_volume(vertices: FloatArray, triangles: npt.NDArray[np.int64], volume: float) -> FloatArray:
-    """Moves the vertices of a closed surface along their normals until it has a volume. Points of no triangle stay."""
+def with_volume(
+    vertices: FloatArray, triangles: npt.NDArray[np.int64], volume: float, free: BoolArray | None = None
+) -> FloatArray:
+    """Moves the vertices of a closed surface along their normals until it has a volume. Points of no triangle stay, and
+    those outside the mask `free`."""
     for _ in range(_CORRECTIONS):
         corner = vertices[triangles]
         areas = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]) / 2
@@ -111,6 +114,8 @@ def with_volume(vertices: FloatArray, triangles: npt.NDArray[np.int64], volume: 
             axis=1,
         )
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        if free is not None:
+            normals[~free] = 0
         missing = volume - enclosed_volume(vertices, triangles)
         # Change of volume for each metre: the mean of the corners' normals on each triangle.
         rate = float(np.einsum("ti,ti->", areas, normals[triangles].mean(axis=1)))

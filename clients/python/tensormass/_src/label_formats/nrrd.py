@@ -96,7 +96,7 @@ def _header(file: BinaryIO, path: Path) -> tuple[dict[str, str], dict[str, str],
             continue
         key, mark, value = text.partition(":")
         if not mark:
-            raise FormatError(f"{path}:{number}: expected `field: value`, found {shown(text)}")
+            raise FormatError(f"{path}:{number}: expected `field: value`, found {shown(line.strip())}")
         key = " ".join(key.lower().split())
         fields[{"datafile": "data file", "centerings": "centers", "lineskip": "line skip"}.get(key, key)] = value.strip()
 
