@@ -1,4 +1,4 @@
-"""Reads damaged mesh files, thousands a reader, and reports each that is neither read nor refused with a reason.
+"""Reads damaged mesh files and label maps, thousands a reader, and reports each that is neither read nor refused with a reason.
 
     python tests/python/mesh_mutations.py --count 100000 --seed 7
     python tests/python/mesh_mutations.py gmsh --count 1 --seed 7 --first 4711     # one of them again
@@ -21,11 +21,14 @@ import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
+import label_files
 import mesh_texts as texts
 import numpy as np
 
 from tensormass._src import mesh_writing, meshes
 from tensormass._src.grids import grid
+from tensormass._src.label_formats import content
+from tensormass._src.label_formats import reading as label_reading
 from tensormass._src.mesh_formats import finish, limits, reading
 from tensormass._src.mesh_formats.raw import FormatError
 
@@ -91,7 +94,30 @@ def samples() -> dict[str, list[tuple[str, bytes]]]:
             path = Path(folder) / f"s.{ending}"
             mesh_writing.write_surface(path, square, path)
             found[ending].append((path.name, path.read_bytes()))
-    return found
+    return found | label_samples()
+
+
+def label_samples() -> dict[str, list[tuple[str, bytes]]]:
+    """Returns label maps by their reader. Packed ones are few, because damage to them mostly breaks the packing."""
+    spacing = (6e-3, 8e-3, 9e-3)
+    voxels, affine = label_files.shape(spacing), label_files.oblique(spacing)
+    more = "Segment0_Name:=a\nSegment0_LabelValue:=1\nSegment0_Layer:=1\nSegment0_Tags:=x|TerminologyEntry:a~b^c^d~e^f^g~|"
+    with tempfile.TemporaryDirectory() as folder:
+        files = [
+            label_files.nrrd(Path(folder) / "a.nrrd", voxels, affine, encoding="raw", names={1: "liver", 2: "b"}),
+            label_files.nrrd(Path(folder) / "b.nrrd", np.stack([voxels, voxels]), affine, encoding="raw", more=more),
+            label_files.nrrd(Path(folder) / "c.nrrd", voxels, affine, encoding="ascii", unit="um"),
+            label_files.nrrd(Path(folder) / "d.nrrd", voxels.astype("f4"), affine, order=">"),
+            label_files.nifti(Path(folder) / "a.nii", voxels, affine),
+            label_files.nifti(Path(folder) / "b.nii", voxels.astype("f4"), affine, form="both", slope=1.0),
+            label_files.nifti(Path(folder) / "c.nii", voxels.astype("i2"), affine, form="qform", version=2, order=">"),
+            label_files.nifti(Path(folder) / "d.nii.gz", voxels, affine, form="none"),
+        ]
+        # Most of a file is voxels, and any byte is a label, so the headers get more damage in files of few voxels.
+        return {
+            reader: [(path.name, path.read_bytes()) for path in files if label_reading.reader_of(path) == reader]
+            for reader in ("nrrd", "nifti")
+        }
 
 
 def mutated(content: bytes, chance: random.Random) -> bytes:
@@ -144,6 +170,8 @@ def _watched() -> Iterator[None]:
 
 def _check(path: Path) -> bool:
     """Reads a file and makes a volume and a surface of it. Returns whether one was made, whose numbers make sense."""
+    if label_reading.reader_of(path) is not None:
+        return _check_labels(path)
     was_read = False
     raw = None
     for make in (finish.volume, finish.surface):
@@ -163,6 +191,22 @@ def _check(path: Path) -> bool:
             assert 0 <= nodes.min() <= nodes.max() < len(found.points), "an index is outside"
         was_read = True
     return was_read
+
+
+def _check_labels(path: Path) -> bool:
+    try:
+        labels = label_reading.read(path)
+    except FormatError as error:
+        if str(path.parent) not in str(error):
+            raise AssertionError(f"the reason names no file: {error}") from error
+        return False
+    assert labels.voxels.ndim == 4
+    assert 0 < labels.voxels.size <= content.MAX_VOXELS
+    assert np.isfinite(labels.affine).all(), "a place is not finite"
+    assert abs(np.linalg.det(labels.affine[:3, :3])) > 0, "a voxel has no volume"
+    for segment in labels.segments:
+        assert segment.layer < len(labels.voxels)
+    return True
 
 
 def run(reader: str, count: int, seed: int, first: int = 0) -> tuple[int, list[str]]:

@@ -1,4 +1,4 @@
-"""Damaged mesh files are read or refused, and never hang, crash or take all memory: see mesh_mutations.py."""
+"""Damaged mesh files and label maps are read or refused, and never hang, crash or take all memory: see mesh_mutations.py."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from pathlib import Path
 import mesh_mutations
 import pytest
 
+from tensormass._src.label_formats import reading as label_reading
 from tensormass._src.mesh_formats import obj, reading
 
 
-@pytest.mark.parametrize("reader", sorted(set(reading.READERS.values())))
+@pytest.mark.parametrize("reader", sorted({*reading.READERS.values(), *label_reading.READERS.values()}))
 def test_damaged_files_are_read_or_refused(reader: str) -> None:
     program = [sys.executable, str(Path(mesh_mutations.__file__)), reader]
     ran = subprocess.run(program, capture_output=True, text=True, timeout=300)
