@@ -138,6 +138,7 @@ except tm.InvalidArgumentError as error:
         ("desktop", ["view", "--desktop"]),
         ("viewer", ["run"]),
         ("modes", ["modes", "cantilever"]),
+        ("organs", ["organ", "liver.seg.nrrd", "--segment", "liver"]),
         ("record", ["record", "cantilever", "-o", "cantilever.mcap"]),
         ("record", ["replay", "cantilever.mcap"]),
         ("record", ["plot", "cantilever.mcap", "-o", "cantilever.png"]),

@@ -133,7 +133,7 @@ def test_a_wrong_nrrd_is_refused_by_its_field(tmp_path: Path, old: str, new: str
     assert says in _refused(path)
 
 
-def test_what_is_no_label_is_refused(tmp_path: Path) -> None:
+def test_values_that_are_not_labels_are_refused(tmp_path: Path) -> None:
     voxels, affine = files.shape(SPACING).astype("f4"), files.straight(SPACING)
     assert "probability" in _refused(files.nrrd(tmp_path / "a.nrrd", voxels * 0.5, affine))
     assert "probability" in _refused(files.nrrd(tmp_path / "a.nrrd", voxels * np.float32(np.nan), affine))

@@ -221,7 +221,7 @@ def test_a_closed_surface_becomes_a_body(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], server: tm.Server, ending: str
 ) -> None:
     vertices, triangles = surfaces.ball(3)
-    # An ellipsoid of a third of a litre, in millimetres as 3D Slicer saves it, turned inside out.
+    # An ellipsoid of a third of a litre, in millimetres as 3D Slicer saves it, with its triangles turned inwards.
     surface = TriangleSurface.from_arrays(vertices * [60, 40, 30], triangles[:, ::-1])
     path = tmp_path / f"liver{ending}"
     mesh_files.write_surface(path, surface)

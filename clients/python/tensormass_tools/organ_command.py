@@ -71,13 +71,15 @@ def add_arguments(parser: argparse.ArgumentParser, length_m: Length) -> None:
 def run(args: argparse.Namespace) -> int:
     """Runs the command."""
     path: Path = args.input
+    if args.segment:
+        require("organs", "a scene of a segmentation")
     if not path.is_file():
         raise NotFoundError(f"{path}: no such file")
     is_labels = reading.reader_of(path) is not None
     if not is_labels and path.suffix.lower() not in _SURFACES:
         known = ", ".join((*reading.READERS, *_SURFACES))
         raise InvalidArgumentError(
-            f"{path}: files of this ending are no segmentations that are read; known are {known}. Save it in 3D Slicer as "
+            f"{path}: files of this ending are not read as segmentations; known are {known}. Save it in 3D Slicer as "
             ".seg.nrrd or .nii.gz"
         )
     if is_labels and not args.segment:

@@ -202,7 +202,7 @@ def _holes(mask: BoolArray, notes: list[str], *, fill_holes: bool) -> BoolArray:
     sizes[[0, hole[0, 0, 0]]] = 0
     filled = sizes > 0
     if not fill_holes:
-        # Their volume stays far below what a mesh may be off.
+        # Such cavities hold far less than a mesh may be off.
         filled &= sizes < MIN_PART * np.count_nonzero(mask)
         if sizes[filled].sum() >= MIN_PART * np.count_nonzero(mask):
             filled[:] = False

@@ -139,7 +139,7 @@ class _Header:
     def _checked_unit(self, units: int) -> float:
         code = units & 7
         if code not in _UNITS:
-            raise FormatError(f"{self.path}: xyzt_units {units}: its unit of length is none of m, mm and um")
+            raise FormatError(f"{self.path}: xyzt_units {units}: its unit of length is not m, mm or um; write it again")
         unit_m = _UNITS[code]
         if unit_m is None:
             self.notes.append("names no unit of length, and is taken as millimetres")
