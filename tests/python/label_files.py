@@ -1,4 +1,4 @@
-"""Label maps for tests, written byte by byte: an asymmetric shape with any orientation, in every format that is read."""
+"""Label maps for tests, written byte by byte: an asymmetric shape with any orientation, in each format that is read."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import gzip
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,9 @@ def shape(spacing_m: Sequence[float] = (2e-3, 2e-3, 2e-3), size_m: float = 0.06)
     x, y, z = np.meshgrid(*((np.arange(n) + 0.5) / n for n in counts), indexing="ij")
     thin = 0.45
     arms = (
-        ((x < 0.9) & (y < thin) & (z < thin)) | ((x < thin) & (y < 0.7) & (z < thin)) | ((x < thin) & (y < thin) & (z < 0.55))
+        ((x < 0.9) & (y < thin) & (z < thin))
+        | ((x < thin) & (y < 0.7) & (z < thin))
+        | ((x < thin) & (y < thin) & (z < 0.55))
     )
     out = np.zeros(counts, np.uint8)
     inner = (x > 0.1) & (y > 0.1) & (z > 0.2)
@@ -64,7 +67,7 @@ def nrrd(
     encoding: str = "gzip",
     names: Mapping[int, str] | None = None,
     more: str = "",
-    order: str = "<",
+    order: Literal["<", ">"] = "<",
 ) -> Path:
     """Writes an NRRD file. Voxels are [i, j, k], or [layer, i, j, k] with the names of the segments in `more`."""
     scale = {"": 1e3, "mm": 1e3, "m": 1.0, "um": 1e6}[unit]
@@ -109,7 +112,7 @@ def nifti(
     slope: float = 0.0,
     intercept: float = 0.0,
     version: int = 1,
-    order: str = "<",
+    order: Literal["<", ">"] = "<",
     wrong_qform: bool = False,
 ) -> Path:
     """Writes a NIfTI file with the orientation as sform, qform, or none. An affine map in LPS; the file has RAS."""

@@ -1,4 +1,4 @@
-"""Reads damaged mesh files and label maps, thousands a reader, and reports each that is neither read nor refused with a reason.
+"""Reads damaged mesh files and label maps, thousands a reader, and reports each that is neither read nor refused.
 
     python tests/python/mesh_mutations.py --count 100000 --seed 7
     python tests/python/mesh_mutations.py gmsh --count 1 --seed 7 --first 4711     # one of them again
@@ -101,7 +101,9 @@ def label_samples() -> dict[str, list[tuple[str, bytes]]]:
     """Returns label maps by their reader. Packed ones are few, because damage to them mostly breaks the packing."""
     spacing = (6e-3, 8e-3, 9e-3)
     voxels, affine = label_files.shape(spacing), label_files.oblique(spacing)
-    more = "Segment0_Name:=a\nSegment0_LabelValue:=1\nSegment0_Layer:=1\nSegment0_Tags:=x|TerminologyEntry:a~b^c^d~e^f^g~|"
+    more = (
+        "Segment0_Name:=a\nSegment0_LabelValue:=1\nSegment0_Layer:=1\nSegment0_Tags:=x|TerminologyEntry:a~b^c^d~e^f^g~|"
+    )
     with tempfile.TemporaryDirectory() as folder:
         files = [
             label_files.nrrd(Path(folder) / "a.nrrd", voxels, affine, encoding="raw", names={1: "liver", 2: "b"}),

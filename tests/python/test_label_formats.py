@@ -6,7 +6,7 @@ import bz2
 import gzip
 import importlib.util
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import label_files as files
 import numpy as np
@@ -51,11 +51,9 @@ def test_nrrd_of_any_unit(tmp_path: Path, unit: str) -> None:
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("kind", ["u1", "i2", "u2", "i4", "f4", "f8"])
 @pytest.mark.parametrize("encoding", ["raw", "gzip", "ascii"])
-def test_nrrd_of_any_type(tmp_path: Path, kind: str, encoding: str, order: str) -> None:
+def test_nrrd_of_any_type(tmp_path: Path, kind: str, encoding: str, order: Literal["<", ">"]) -> None:
     voxels = files.shape(SPACING)
-    path = files.nrrd(
-        tmp_path / "a.nrrd", voxels.astype(kind), files.straight(SPACING), encoding=encoding, order=order
-    )
+    path = files.nrrd(tmp_path / "a.nrrd", voxels.astype(kind), files.straight(SPACING), encoding=encoding, order=order)
     np.testing.assert_array_equal(_read(path).voxels[0], voxels)
 
 
@@ -185,7 +183,7 @@ def test_nifti_without_a_unit_or_an_orientation_says_what_is_taken(tmp_path: Pat
 
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("kind", ["u1", "i1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"])
-def test_nifti_of_any_type(tmp_path: Path, kind: str, order: str) -> None:
+def test_nifti_of_any_type(tmp_path: Path, kind: str, order: Literal["<", ">"]) -> None:
     voxels = files.shape(SPACING)
     path = files.nifti(tmp_path / "a.nii", voxels.astype(kind), files.straight(SPACING), order=order)
     np.testing.assert_array_equal(_read(path).voxels[0], voxels)
@@ -237,7 +235,7 @@ def test_a_file_that_is_cut_off_or_of_another_kind_is_refused(tmp_path: Path) ->
     other = tmp_path / "a.mha"
     other.write_bytes(b"ObjectType = Image\n")
     assert "known are .nrrd" in _refused(other)
-    with pytest.raises(tm.InvalidArgumentError, match="known are .nrrd"):
+    with pytest.raises(tm.InvalidArgumentError, match=r"known are \.nrrd"):
         mesh_reading.labels(other)
 
 

@@ -1,4 +1,4 @@
-"""Damaged mesh files and label maps are read or refused, and never hang, crash or take all memory: see mesh_mutations.py."""
+"""Damaged files are read or refused, and never hang, crash or take all memory: see mesh_mutations.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`tensormass organ`: from a segmentation to a scene, at the right place, of the right size, held where segments touch."""
+"""`tensormass organ`: a scene of a segmentation has its place and size, and is held where segments touch."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_segment_lies_where_its_voxels_lie(
         chosen = ["--segment", "Right kidney"]
     else:
         files.nifti(path, voxels, affine, form=written.partition(".")[0])
-        chosen = ["--segment", 1, "--tissue", "kidney"]
+        chosen = ["--segment", "1", "--tissue", "kidney"]
     answer = _organ(capsys, path, *chosen, "-o", tmp_path / "scene.yaml", "--edge", "7mm")
     body = answer["bodies"][0]
     mesh = _mesh(Path(answer["output"][1]))
@@ -174,7 +174,9 @@ def test_overlaps_holes_and_parts_are_named(tmp_path: Path, capsys: pytest.Captu
         "Segment1_Name:=spleen\nSegment1_LabelValue:=1\nSegment1_Layer:=1"
     )
     path = files.nrrd(tmp_path / "a.seg.nrrd", voxels, files.straight((3e-3, 3e-3, 3e-3)), more=more)
-    said = " ".join(_organ(capsys, path, "--segment", "liver", "--edge", "12mm", "-o", tmp_path / "a.yaml")["bodies"][0]["notes"])
+    said = " ".join(
+        _organ(capsys, path, "--segment", "liver", "--edge", "12mm", "-o", tmp_path / "a.yaml")["bodies"][0]["notes"]
+    )
     assert "512 voxels of it belong to 'spleen', too, and are taken; name both" in said
     assert "1 separate part of 1 voxel is dropped" in said
     assert "1 hole of 1 voxel is filled" in said
@@ -182,7 +184,17 @@ def test_overlaps_holes_and_parts_are_named(tmp_path: Path, capsys: pytest.Captu
     mesh = _mesh(tmp_path / "a_liver.msh")
     assert mesh_geometry.quality(mesh).volume == pytest.approx((16**3 - 216) * 27e-9, rel=0.02)
     both = _organ(
-        capsys, path, "--segment", "spleen", "--segment", "liver", "--fill-holes", "--edge", "12mm", "-o", tmp_path / "b.yaml"
+        capsys,
+        path,
+        "--segment",
+        "spleen",
+        "--segment",
+        "liver",
+        "--fill-holes",
+        "--edge",
+        "12mm",
+        "-o",
+        tmp_path / "b.yaml",
     )["bodies"]
     assert any("belong to a segment that was named before" in note for note in both[1]["notes"])
     assert both[1]["volume_m3"] == pytest.approx((16**3 - 512) * 27e-9, rel=0.02)
@@ -253,7 +265,9 @@ def test_surfaces_of_3d_slicer_in_ras_and_open_ones(tmp_path: Path, capsys: pyte
     _organ(capsys, path, *wish)
     np.testing.assert_allclose(_center(_mesh(tmp_path / "a_left_liver.msh")), [-0.1, -0.2, 0.3], atol=1e-3)
     path.write_text(
-        text.replace(f"POLYGONS {len(triangles)} {4 * len(triangles)}", f"POLYGONS {len(triangles) - 1} {4 * len(triangles) - 4}")
+        text.replace(
+            f"POLYGONS {len(triangles)} {4 * len(triangles)}", f"POLYGONS {len(triangles) - 1} {4 * len(triangles) - 4}"
+        )
         .rstrip()
         .rpartition("\n")[0]
     )

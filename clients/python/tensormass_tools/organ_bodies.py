@@ -13,7 +13,7 @@ from tensormass._src import mesh_files, mesh_geometry, mesh_reading, mesh_units,
 from tensormass._src.errors import InvalidArgumentError, MeshFileWarning
 from tensormass._src.label_formats.content import Labels, Segment
 from tensormass._src.mesh_repair import components
-from tensormass._src.meshes import BoolArray, FloatArray, TriangleSurface, VolumeMesh
+from tensormass._src.meshes import BoolArray, TriangleSurface, VolumeMesh
 from tensormass._src.names import as_name
 from tensormass_tools import tissues
 
@@ -47,7 +47,7 @@ class Body:
     tissue: tissues.Tissue
     #: Nodes in LPS [m].
     mesh: VolumeMesh
-    #: Volume that the file states.
+    #: Volume of the voxels or within the surface, before crumbs and holes.
     volume_m3: float
     edge_m: float
     held: BoolArray
@@ -96,7 +96,7 @@ def from_labels(path: Path, wish: Wish) -> tuple[list[Body], list[str]]:
         mesh, notes = _fill(surface, cut.volume_m3, edge_m, f"{path}: segment {segment.name!r}", wish)
         name = body_name(segment.name, [body.name for body in bodies])
         bodies.append(
-            Body(name, segment.name, tissue, mesh, cut.volume_m3, edge_m, np.zeros(len(mesh.nodes), bool))
+            Body(name, segment.name, tissue, mesh, cut.file_volume_m3, edge_m, np.zeros(len(mesh.nodes), bool))
         )
         bodies[-1].color = segment.color
         bodies[-1].notes += [*cut.notes, *notes]
@@ -134,8 +134,8 @@ def from_surface(path: Path, wish: Wish) -> tuple[list[Body], list[str]]:
     triangles = surface.triangles.astype(np.int64)
     if edges := segment_surface.open_edges(triangles):
         raise InvalidArgumentError(
-            f"{path}: the surface is not closed: {edges} edges do not lie between two triangles of one side; close it in "
-            "the program that made it, or fill it as it is with `tensormass mesh --edge LENGTH`"
+            f"{path}: the surface is not closed: {edges} edges do not lie between two triangles of one side; close it "
+            "in the program that made it, or fill it as it is with `tensormass mesh --edge LENGTH`"
         )
     volume_m3 = segment_surface.enclosed_volume(vertices, triangles)
     if volume_m3 < 0:
@@ -178,7 +178,7 @@ def _tissue(wish: Wish, index: int, title: str, term: str) -> tissues.Tissue:
     if wish.tissues:
         if len(wish.tissues) not in (1, max(1, len(wish.segments))):
             raise InvalidArgumentError(
-                f"--tissue: {len(wish.tissues)} tissues for {len(wish.segments)} segments; give one for all, or one each"
+                f"--tissue: {len(wish.tissues)} tissues for {len(wish.segments)} segments; give one for all or one each"
             )
         return tissues.by_name(wish.tissues[index if len(wish.tissues) > 1 else 0])
     found = tissues.of_segment(title, term)
@@ -238,9 +238,7 @@ def _touch(
     for segment in [*of_bodies, *candidates]:
         if segment.name == body.title:
             continue
-        near = segments.touching(
-            labels, cut, segments.mask_of(labels, segment), body.mesh.nodes[outer], slack_m
-        )
+        near = segments.touching(labels, cut, segments.mask_of(labels, segment), body.mesh.nodes[outer], slack_m)
         nodes = np.zeros(len(body.mesh.nodes), bool)
         nodes[outer[near]] = True
         share = 100 * near.mean()
@@ -273,8 +271,8 @@ def _hold_loose_parts(body: Body) -> None:
         body.held[chosen] = True
         what = "it" if len(own) == len(part) else f"a part of {len(own)} nodes"
         body.notes.append(
-            f"nothing that touches {what} holds it, so its back is held ({len(chosen)} nodes, the last tenth towards +y); "
-            "change `fixed` in the scene if it hangs elsewhere"
+            f"nothing that touches {what} holds it; its back is held ({len(chosen)} nodes, the last tenth towards +y);"
+            " change `fixed` in the scene if it hangs elsewhere"
         )
     if not body.held.any() and not body.touches:
         raise InvalidArgumentError(f"segment {body.title!r}: nothing holds it")
@@ -283,5 +281,3 @@ def _hold_loose_parts(body: Body) -> None:
 def _is_ras(path: Path) -> bool:
     with path.open("rb") as file:
         return b"SPACE=RAS" in file.read(_SLICER_HEAD)
-
-

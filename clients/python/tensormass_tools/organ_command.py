@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser, length_m: Length) -> None:
             raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of pascals such as 5000")
         return value
 
-    parser.add_argument("input", type=Path, help=".seg.nrrd, .nrrd, .nii, .nii.gz; or a surface: .stl, .obj, .ply, .vtp")
+    parser.add_argument(
+        "input", type=Path, help=".seg.nrrd, .nrrd, .nii, .nii.gz; or a surface: .stl, .obj, .ply, .vtp"
+    )
     parser.add_argument(
         "--segment",
         action="append",
@@ -51,8 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser, length_m: Length) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help=f"tissue whose modulus is taken ({', '.join(tissues.known())}), if the segment's name does not say it; one "
-        "for all segments, or one each",
+        help=f"tissue whose modulus is taken ({', '.join(tissues.known())}), if the segment's name does not say it; "
+        "one for all segments, or one each",
     )
     parser.add_argument("--young-modulus", type=positive, metavar="PA", help="modulus in place of the table's")
     parser.add_argument("--edge", type=length_m, metavar="LENGTH", help="edge of the tetrahedra, such as 8mm")
@@ -61,9 +64,11 @@ def add_arguments(parser: argparse.ArgumentParser, length_m: Length) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="segment that holds the bodies where it touches them; default: all that touch them and do not surround them",
+        help="segment that holds the bodies where it touches them; default: all that do and do not surround them",
     )
-    parser.add_argument("--unit", type=unit_m, metavar="UNIT", help="unit of the file (mm, cm, m ...) in place of its own")
+    parser.add_argument(
+        "--unit", type=unit_m, metavar="UNIT", help="unit of the file (mm, cm, m ...) in place of its own"
+    )
     parser.add_argument("--fill-holes", action="store_true", help="fill cavities of any size")
     parser.add_argument("--largest", action="store_true", help="keep the largest of several separate parts alone")
 
@@ -84,7 +89,9 @@ def run(args: argparse.Namespace) -> int:
         )
     if is_labels and not args.segment:
         return _list(args)
-    output: Path = args.output or Path(f"{organ_bodies.body_name(args.segment[0] if args.segment else path.stem, [])}.yaml")
+    output: Path = args.output or Path(
+        f"{organ_bodies.body_name(args.segment[0] if args.segment else path.stem, [])}.yaml"
+    )
     if output.suffix.lower() not in (".yaml", ".yml"):
         raise InvalidArgumentError(f"--output {output}: a scene file ends in .yaml")
     check_writable("--output", output)
@@ -123,11 +130,11 @@ def _list(args: argparse.Namespace) -> int:
     labels = organ_bodies.scaled(mesh_reading.labels(args.input), args.unit)
     voxel_m3 = abs(float(np.linalg.det(labels.affine[:3, :3])))
     counts = [np.bincount(layer.reshape(-1)) for layer in labels.voxels]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for segment in segments.named(labels):
         of_layer = counts[segment.layer]
         count = int(of_layer[segment.label]) if segment.label < len(of_layer) else 0
-        tissue = tissues.of_segment(segment.name, segment.term)
+        of_name = tissues.of_segment(segment.name, segment.term)
         rows.append(
             {
                 "segment": segment.name,
@@ -135,7 +142,7 @@ def _list(args: argparse.Namespace) -> int:
                 "layer": segment.layer,
                 "voxels": count,
                 "volume_m3": count * voxel_m3,
-                "tissue": tissue.name if tissue else None,
+                "tissue": of_name.name if of_name else None,
             }
         )
     if args.json:
@@ -143,8 +150,8 @@ def _list(args: argparse.Namespace) -> int:
         return 0
     print(f"{args.input}: {len(rows)} segments; choose with --segment NAME")
     for row in rows:
-        volume_ml = 1e6 * row["volume_m3"]
-        print(f"  {row['segment']}  (label {row['label']}): {volume_ml:.4g} mL, tissue {row['tissue'] or 'unknown: --tissue'}")
+        tissue = row["tissue"] or "unknown: --tissue"
+        print(f"  {row['segment']}  (label {row['label']}): {1e6 * row['volume_m3']:.4g} mL, tissue {tissue}")
     for note in labels.notes:
         print(f"tensormass: {args.input}: {note}", file=sys.stderr)
     return 0

@@ -99,7 +99,7 @@ def _nodes_of(mesh: VolumeMesh, elements: npt.NDArray[np.bool_]) -> npt.NDArray[
     return np.unique(np.concatenate([block.nodes for block in mesh.blocks])[elements])
 
 
-# Points on a triangle as weights of its corners. They are drawn in a little, so that each has its own triangle's normal.
+# Points on a triangle as weights of its corners, drawn in a little, so that each has its own triangle's normal.
 _WEIGHTS = 0.98 * np.array([[i, j, 6 - i - j] for i in range(7) for j in range(7 - i)]) / 6 + 0.02 / 3
 _SAMPLES = len(_WEIGHTS)
 

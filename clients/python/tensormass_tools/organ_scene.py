@@ -52,10 +52,14 @@ def write(path: Path, bodies: Sequence[Body], law: str, source: Source) -> list[
 
 
 def _head(path: Path, source: Source) -> list[str]:
-    lines = _comment(f"Made by `tensormass organ` of {source.file}. Positions are LPS in metres: x to the patient's left, "
-                     "y to the back, z to the head.")
-    lines += _comment("Without gravity: the image shows the organs under their weight already. A patient who lies on the "
-                      "back has gravity_m_per_s2: {y: 9.81}.")
+    lines = _comment(
+        f"Made by `tensormass organ` of {source.file}. Positions are LPS in metres: x to the patient's left, "
+        "y to the back, z to the head."
+    )
+    lines += _comment(
+        "Without gravity: the image shows the organs under their weight already. A patient who lies on the "
+        "back has gravity_m_per_s2: {y: 9.81}."
+    )
     for note in source.notes:
         lines += _comment(f"The file {note}.")
     return [*lines, f'name: "{scene_name(path)}"']
@@ -125,8 +129,8 @@ def _ties(bodies: Sequence[Body]) -> list[str]:
         edge_m = max(body.edge_m, other.edge_m)
         stiffness = softer_pa * area_m2 / edge_m
         springs += _comment(
-            f"A layer of the softer tissue, as thick as an edge ({1e3 * edge_m:.3g} mm), over the {1e4 * area_m2:.3g} cm2 "
-            "where the two touch: a choice, not a measurement.",
+            f"A layer of the softer tissue, as thick as an edge ({1e3 * edge_m:.3g} mm), over the {1e4 * area_m2:.3g} "
+            "cm2 where the two touch: a choice, not a measurement.",
             "  ",
         )
         springs += [

@@ -1,4 +1,4 @@
-"""Reads a mesh file or a label map in a child process, because files come from strangers: with limits of time and memory."""
+"""Reads a mesh file or a label map in a child process with limits of time and memory: files come from strangers."""
 
 from __future__ import annotations
 

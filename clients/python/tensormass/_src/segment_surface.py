@@ -113,7 +113,7 @@ def with_volume(
             ],
             axis=1,
         )
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         if free is not None:
             normals[~free] = 0
         missing = volume - enclosed_volume(vertices, triangles)

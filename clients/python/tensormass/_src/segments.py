@@ -34,6 +34,8 @@ class Chosen:
     affine: npt.NDArray[np.float64]
     #: What was found and done, for messages.
     notes: tuple[str, ...]
+    #: Volume of the segment's voxels before crumbs were dropped and holes filled.
+    file_volume_m3: float
 
     @property
     def spacing_m(self) -> FloatArray:
@@ -65,8 +67,8 @@ def find(labels: Labels, name: str, where: str) -> Segment:
         if len(fits) > 1:
             numbers = " and ".join(str(of.label) for of in fits)
             raise InvalidArgumentError(
-                f"{where}: --segment {name!r}: {len(fits)} segments have this name (labels {numbers}); rename one in the "
-                "program that made the file"
+                f"{where}: --segment {name!r}: {len(fits)} segments have this name (labels {numbers}); rename one in "
+                "the program that made the file"
             )
         if fits:
             return fits[0]
@@ -75,7 +77,9 @@ def find(labels: Labels, name: str, where: str) -> Segment:
         return of_label[0]
     if not known:
         raise InvalidArgumentError(f"{where}: has no segments: every voxel is 0; segment it first")
-    raise InvalidArgumentError(f"{where}: --segment {name!r}: no such segment; {suggestion(name, [of.name for of in known])}")
+    raise InvalidArgumentError(
+        f"{where}: --segment {name!r}: no such segment; {suggestion(name, [of.name for of in known])}"
+    )
 
 
 def mask_of(labels: Labels, segment: Segment) -> BoolArray:
@@ -155,7 +159,8 @@ def _cut_out(
     cut = _holes(cut, notes, fill_holes=fill_holes)
     affine = labels.affine.copy()
     affine[:3, 3] += affine[:3, :3] @ (np.array(low) - _MARGIN)
-    return Chosen(segment, cut, affine, tuple(notes))
+    voxel_m3 = abs(float(np.linalg.det(affine[:3, :3])))
+    return Chosen(segment, cut, affine, tuple(notes), np.count_nonzero(mask) * voxel_m3)
 
 
 def _box(mask: BoolArray) -> tuple[list[int], list[int]]:
@@ -184,10 +189,8 @@ def _parts(mask: BoolArray, notes: list[str], *, largest: bool) -> BoolArray:
         what = "1 separate part" if dropped == 1 else f"{dropped} separate parts"
         notes.append(f"{what} of {_voxels(int(sizes[~kept].sum()))} {'is' if dropped == 1 else 'are'} dropped")
     if (remaining := int(kept.sum())) > 1:
-        notes.append(
-            f"{remaining} separate parts are kept, of {', '.join(f'{size:,}' for size in np.sort(sizes[kept])[::-1][:5])} "
-            "voxels; --largest keeps the largest alone"
-        )
+        listed = ", ".join(f"{size:,}" for size in np.sort(sizes[kept])[::-1][:5])
+        notes.append(f"{remaining} separate parts are kept, of {listed} voxels; --largest keeps the largest alone")
     out: BoolArray = kept[part]
     return out
 

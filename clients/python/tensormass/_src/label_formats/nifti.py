@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -97,8 +97,9 @@ class _Header:
         self.slope, self.intercept = self._checked_scale(float(slope), float(intercept))
         self._unit_m = self._checked_unit(units)
 
-    def _version(self, head: bytes) -> tuple[str, int]:
-        for order in "<>":
+    def _version(self, head: bytes) -> tuple[Literal["<", ">"], int]:
+        orders: tuple[Literal["<"], Literal[">"]] = ("<", ">")
+        for order in orders:
             if len(head) >= 4 and (size := struct.unpack_from(order + "i", head)[0]) in _SIZES:
                 if len(head) < size:
                     break
@@ -115,7 +116,7 @@ class _Header:
             )
         return list(sizes[:3])
 
-    def _checked_type(self, datatype: int, order: str) -> np.dtype[Any]:
+    def _checked_type(self, datatype: int, order: Literal["<", ">"]) -> np.dtype[Any]:
         if datatype not in _TYPES:
             what = _OTHER_TYPES.get(datatype, "unknown")
             raise FormatError(f"{self.path}: datatype {datatype} ({what}): labels are whole numbers; save a label map")

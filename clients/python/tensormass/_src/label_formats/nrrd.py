@@ -98,7 +98,9 @@ def _header(file: BinaryIO, path: Path) -> tuple[dict[str, str], dict[str, str],
         if not mark:
             raise FormatError(f"{path}:{number}: expected `field: value`, found {shown(line.strip())}")
         key = " ".join(key.lower().split())
-        fields[{"datafile": "data file", "centerings": "centers", "lineskip": "line skip"}.get(key, key)] = value.strip()
+        fields[{"datafile": "data file", "centerings": "centers", "lineskip": "line skip"}.get(key, key)] = (
+            value.strip()
+        )
 
 
 def _data_path(path: Path, fields: dict[str, str]) -> Path:
@@ -113,9 +115,7 @@ def _data_path(path: Path, fields: dict[str, str]) -> Path:
     return path.parent / name
 
 
-def _labels(
-    path: Path, data_path: Path, file: BinaryIO, fields: dict[str, str], values: dict[str, str]
-) -> Labels:
+def _labels(path: Path, data_path: Path, file: BinaryIO, fields: dict[str, str], values: dict[str, str]) -> Labels:
     for field in ("type", "dimension", "sizes", "encoding"):
         if field not in fields:
             raise FormatError(f"{path}: has no field `{field}`; the file is damaged")
@@ -166,8 +166,8 @@ def _axes(
     others = [axis for axis in range(len(sizes)) if axis not in spatial]
     if len(spatial) != 3 or len(others) > 1:
         raise FormatError(
-            f"{path}: has {len(spatial)} axes in space and {len(others)} others; expected 3, and at most one of layers: "
-            "save one volume alone"
+            f"{path}: has {len(spatial)} axes in space and {len(others)} others; expected 3, and one of layers at "
+            "most; save one volume alone"
         )
     units = re.findall(r'"([^"]*)"', fields.get("space units", ""))
     if directions:
@@ -311,7 +311,7 @@ def _segments(path: Path, values: dict[str, str], layers: int) -> list[Segment]:
         if not 0 < label <= content.MAX_LABEL or not 0 <= layer < layers:
             raise FormatError(
                 f"{path}: segment {shown(name)}: label {shown(of.get('LabelValue', ''))} in layer "
-                f"{shown(of.get('Layer', '0'))}: expected a label of 1 to {content.MAX_LABEL} and a layer below {layers}"
+                f"{shown(of.get('Layer', '0'))}: expected a label of 1 to {content.MAX_LABEL}, a layer below {layers}"
             )
         out.append(Segment(name, label, layer, _term(of.get("Tags", "")), _color(of.get("Color", ""))))
     return out

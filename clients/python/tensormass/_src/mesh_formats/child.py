@@ -66,7 +66,9 @@ def memory_message(path: Path) -> str:
     )
 
 
-def _packed(result: finish.Volume | finish.Surface | content.Labels) -> tuple[dict[str, Any], Sequence[npt.NDArray[Any]]]:
+def _packed(
+    result: finish.Volume | finish.Surface | content.Labels,
+) -> tuple[dict[str, Any], Sequence[npt.NDArray[Any]]]:
     """Returns what is printed: names, types and shapes, and the arrays."""
     names: list[tuple[str, ...]]
     arrays: list[npt.NDArray[Any]]
