@@ -13,6 +13,7 @@ CONTENTS = {
         "docs/viewer",
         "Python SDK and command <clients/python/README>",
         "docs/choosing",
+        "docs/organs",
         "examples/README",
         "clients/haptic/README",
         "docs/haptics",

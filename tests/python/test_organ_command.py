@@ -218,6 +218,15 @@ def test_wrong_wishes_are_refused_with_a_remedy(tmp_path: Path, capsys: pytest.C
     assert not (tmp_path / "a.yaml").exists()
 
 
+def test_a_unit_replaces_that_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    voxels = files.shape(SPACING)
+    path = files.nifti(tmp_path / "a.nii", voxels, files.straight(SPACING), unit=3)  # numbers for micrometres
+    said = _organ(capsys, path, "--segment", 1, "--unit", "0.0001mm", "--tissue", "liver", "-o", tmp_path / "a.yaml")
+    assert said["bodies"][0]["file_volume_m3"] == pytest.approx(np.count_nonzero(voxels == 1) * 24e-12)
+    assert "is rare for an organ; --unit" in " ".join(said["bodies"][0]["notes"])
+    assert "--unit replaces the file's unit" in said["notes"][0]
+
+
 def test_segments_are_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     voxels, affine = files.shape(SPACING), files.straight(SPACING)
     path = files.nrrd(tmp_path / "a.seg.nrrd", voxels, affine, names=NAMES)

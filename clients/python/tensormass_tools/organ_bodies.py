@@ -31,6 +31,8 @@ _SURROUNDS = 0.5
 _ENVELOPE = 1 / 20
 # Share of a body's extent that is held if nothing touches it.
 _BACK = 0.1
+# Volumes outside these [m³] are rarely those of an organ, and hint at a wrong unit.
+_SMALL_M3, _LARGE_M3 = 1e-6, 3e-2
 # Volume of a regular tetrahedron with an edge of 1.
 _REGULAR = 1 / (6 * np.sqrt(2))
 # Name of 3D Slicer's space in the header of surfaces that it writes [bytes that are searched].
@@ -156,9 +158,9 @@ def scaled(labels: Labels, unit_m: float | None) -> Labels:
     if unit_m is None:
         return labels
     affine = labels.affine.copy()
-    affine[:3] *= unit_m / 1e-3
+    affine[:3] *= unit_m / labels.unit_m
     notes = [f"--unit replaces the file's unit by {unit_m:g} m", *labels.notes]
-    return replace(labels, affine=affine, notes=notes)
+    return replace(labels, affine=affine, notes=notes, unit_m=unit_m)
 
 
 def body_name(title: str, taken: Sequence[str]) -> str:
@@ -218,7 +220,10 @@ def _fill(
             f"{100 * MAX_VOLUME_ERROR:g} %: parts of it are thinner than an edge of {1e3 * edge_m:.3g} mm; give a "
             f"shorter one, such as --edge {1e3 * edge_m / 2:.2g}mm"
         )
-    return replace(mesh, notes=()), list(mesh.notes)
+    notes = list(mesh.notes)
+    if not _SMALL_M3 < volume_m3 < _LARGE_M3:
+        notes.append(f"it has {1e6 * volume_m3:.3g} mL, which is rare for an organ; --unit names another unit")
+    return replace(mesh, notes=()), notes
 
 
 def _touch(

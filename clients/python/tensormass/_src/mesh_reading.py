@@ -76,7 +76,7 @@ def labels(path: Path) -> content.Labels:
         content.Segment(**{**of, "color": None if of["color"] is None else tuple(of["color"])})
         for of in head["segments"]
     ]
-    return content.Labels(found["voxels"], found["affine"], segments, head["notes"])
+    return content.Labels(found["voxels"], found["affine"], segments, head["notes"], head["unit_m"])
 
 
 def _here(read: Any, path: Path) -> Any:  # noqa: ANN401

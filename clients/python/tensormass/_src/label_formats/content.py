@@ -48,6 +48,8 @@ class Labels:
     #: Segments that the file names; empty: each label is a segment with its number as name.
     segments: list[Segment]
     notes: list[str] = field(default_factory=list)
+    #: Unit of the file [m].
+    unit_m: float = 1e-3
 
 
 class Filler:

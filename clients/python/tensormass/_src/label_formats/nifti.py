@@ -43,7 +43,7 @@ def read(path: Path) -> Labels:
         if left:
             notes.append(f"{left} bytes or more after the voxels are skipped")
         voxels = filler.result().reshape(header.sizes[::-1]).T
-    return Labels(voxels[np.newaxis], header.affine(), [], notes)
+    return Labels(voxels[np.newaxis], header.affine(), [], notes, header.unit_m)
 
 
 def _first(file: BinaryIO, path: Path, packing: str) -> bytes:
@@ -95,7 +95,7 @@ class _Header:
             raise FormatError(f"{path}: bitpix {bits}: datatype {datatype} has {8 * self.dtype.itemsize} bits")
         self.offset = self._checked_offset(offset, 352 if version == 1 else 544)
         self.slope, self.intercept = self._checked_scale(float(slope), float(intercept))
-        self._unit_m = self._checked_unit(units)
+        self.unit_m = self._checked_unit(units)
 
     def _version(self, head: bytes) -> tuple[Literal["<", ">"], int]:
         orders: tuple[Literal["<"], Literal[">"]] = ("<", ">")
@@ -164,7 +164,7 @@ class _Header:
             # The axes have no direction, so their order is the only one there is.
             self.notes.append("has no orientation (qform_code and sform_code are 0); its axes are taken as RAS")
         out = _LPS @ out
-        out[:3] *= self._unit_m
+        out[:3] *= self.unit_m
         return content.checked_affine(self.path, out)
 
     def _spacings(self) -> npt.NDArray[np.float64]:

@@ -131,10 +131,11 @@ def _labels(path: Path, data_path: Path, file: BinaryIO, fields: dict[str, str],
         raise FormatError(f"{path}: sizes {sizes}: the dimension is {dimension}; the file is damaged")
     count = content.checked_sizes(path, sizes)
     notes: list[str] = []
-    list_axis, affine = _axes(path, fields, sizes, notes)
+    list_axis, affine, unit_m = _axes(path, fields, sizes, notes)
+    affine[:3] *= unit_m
     voxels = _voxels(path, data_path, file, fields, count, notes).reshape(sizes[::-1]).T
     voxels = np.moveaxis(voxels, list_axis, 0) if list_axis is not None else voxels[np.newaxis]
-    return Labels(voxels, content.checked_affine(path, affine), _segments(path, values, len(voxels)), notes)
+    return Labels(voxels, content.checked_affine(path, affine), _segments(path, values, len(voxels)), notes, unit_m)
 
 
 def _whole(path: Path, fields: dict[str, str], name: str) -> list[int]:
@@ -149,8 +150,8 @@ def _whole(path: Path, fields: dict[str, str], name: str) -> list[int]:
 
 def _axes(
     path: Path, fields: dict[str, str], sizes: list[int], notes: list[str]
-) -> tuple[int | None, npt.NDArray[np.float64]]:
-    """Returns the axis of layers, if there is one, and the affine map of the others."""
+) -> tuple[int | None, npt.NDArray[np.float64], float]:
+    """Returns the axis of layers, if there is one, the affine map of the others, and its unit [m]."""
     affine = np.eye(4)
     space = fields.get("space", "").lower().strip('"')
     directions = _vectors(path, fields, "space directions")
@@ -190,11 +191,10 @@ def _axes(
             if space
             else "names no space, and is taken as LPS"
         )
-    affine[:3] *= _unit(path, units, notes)
-    return (others[0] if others else None), affine
+    return (others[0] if others else None), affine, _unit(path, units)
 
 
-def _unit(path: Path, units: list[str], notes: list[str]) -> float:
+def _unit(path: Path, units: list[str]) -> float:
     named = {unit for unit in units if unit}
     if not named:
         return 1e-3  # 3D Slicer and ITK write no unit and mean millimetres

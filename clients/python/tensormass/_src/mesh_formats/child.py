@@ -76,6 +76,7 @@ def _packed(
     if isinstance(result, content.Labels):
         names = [("voxels",), ("affine",)]
         arrays = [np.ascontiguousarray(result.voxels, "<u2"), np.ascontiguousarray(result.affine, "<f8")]
+        more["unit_m"] = result.unit_m
         more["segments"] = [asdict(segment) for segment in result.segments]
     elif isinstance(result, finish.Volume):
         names, arrays = [("points",)], [np.ascontiguousarray(result.points, "<f8")]
