@@ -51,7 +51,8 @@ struct StepInput {
   double dt_s = 0;
   std::uint32_t cg_max_iterations = 0;
   bool saves_checkpoint = true;  ///< `restore` goes back to the state before this step
-  bool first_order = false;      ///< implicit Euler instead of BDF2
+  bool first_order = false;      ///< BDF2 starts a new sequence of steps, by implicit Euler
+  bool by_euler = false;         ///< implicit Euler instead of the scene's scheme, within the sequence of steps
   /// Stiffness projected to positive definite instead of the consistent one.
   bool projects_stiffness = false;
   double loads_time_s = 0;  ///< time of the scene at which scheduled gravity, loads and pressure have their factors

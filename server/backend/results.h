@@ -161,7 +161,8 @@ struct StepRecord {
 template <class Real>
 view::StepControl<Real> control_of(const model::Model& m, const StepInput& input, const StepRecord& past) {
   const bool starts = input.first_order || past.dt_s != input.dt_s;
-  const view::StepScheme<double> scheme = solver::step_scheme(m.integrator, input.dt_s, starts);
+  const solver::Integrator integrator = input.by_euler ? solver::Integrator::kImplicitEuler : m.integrator;
+  const view::StepScheme<double> scheme = solver::step_scheme(integrator, input.dt_s, starts);
   view::StepControl<Real> out;
   out.scheme.step_s = static_cast<Real>(scheme.step_s);
   out.scheme.reach = static_cast<Real>(scheme.reach);

@@ -210,7 +210,7 @@ TM_HOST_DEVICE void add_friction(const view::StateView<Real>& state, Real coeffi
       relative(tie, kAllRows, [&](std::uint32_t row) { return view::change_ahead_to_end(state, row); });
   const Vec3<Real> depth_force(tie.force[0], tie.force[1], tie.force[2]);
   const Real predicted = n.dot(depth_force) - tie.stiffness * n.dot(ahead);
-  const Real most = coefficient * (state.base_displacement == nullptr ? slip[3] : predicted);
+  const Real most = coefficient * (state.iterates == 0 ? slip[3] : predicted);
   if (!(most > 0)) return;
   const Vec3<Real> stretch = contact_stretch(state, tie, slip);
   tie.across = tie.stiffness * yield_factor(tie.stiffness, stretch, most);

@@ -19,9 +19,9 @@
 /// 2. The force enters the step's linear system with a secant stiffness: t = k_s ξ with k_s = min(k, μ N / |ξ|), for ξ
 ///    and N predicted before the solve. The system stays symmetric and positive definite. Where it slides, the force is
 ///    then exact only if the prediction is; in steady sliding it is.
-/// 3. ξ is predicted with the velocities before the solve. In a plain scene (solver/time_scheme.h) N is that of the
-///    last step: predicted, it would be many times too large when a tool strikes tissue. In other scenes N is
-///    predicted, too. Newton's iterations correct it, and they measure the force at the end of the step.
+/// 3. ξ is predicted with the velocities before the solve. In a step that is linearized once, N is that of the last
+///    step: predicted, it would be many times too large when a tool strikes tissue. Newton's method predicts N, too. Its
+///    iterations correct it, and they measure the force at the end of the step.
 /// 4. After the solve the stretch is returned to the cone k |ξ| ≤ μ N (return mapping: Wriggers 2006, section 5.2). It
 ///    is kept in the frame of the tool's shape, and turns with the tool, though not with a joint.
 namespace tensormass::contact {
@@ -56,7 +56,7 @@ TM_HOST_DEVICE Vec3<Real> old_stretch(const ContactPoint<Real>& at, const physic
 /// Predicts whether a contact sticks or slides in this step.
 ///
 ///   tool_motion   motion of the tool's point that touches the tissue, in this step [m]
-///   predicted_n   N at the velocities as they are stored; a plain scene takes that of the last step instead
+///   predicted_n   N at the velocities as they are stored; only Newton's method takes it
 ///   slip          the contact's entry of ContactView::slips
 template <class Real>
 TM_HOST_DEVICE view::TriangleFriction<Real> predict_friction(const ContactPoint<Real>& at,
@@ -66,7 +66,7 @@ TM_HOST_DEVICE view::TriangleFriction<Real> predict_friction(const ContactPoint<
   const Vec3<Real> ahead = old_stretch(at, tool, slip) + at.tangential(tool_motion);
   view::TriangleFriction<Real> out{{ahead[0], ahead[1], ahead[2]}, 0};
   const Vec3<Real> stretch = stretch_of(at, out);
-  const Real most = tool.friction * (at.state.base_displacement == nullptr ? slip[3] : predicted_n);
+  const Real most = tool.friction * (at.state.iterates == 0 ? slip[3] : predicted_n);
   if (most > 0) out.stiffness = at.touch.stiffness * yield_factor(at.touch.stiffness, stretch, most);
   return out;
 }

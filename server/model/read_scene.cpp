@@ -15,6 +15,9 @@ namespace tensormass::model {
 
 namespace {
 
+/// Newton iterations of a quasi-static step, unless the scene says how many. A press by a box takes 11 to 106.
+constexpr std::uint32_t kEquilibriumIterations = 200;
+
 Result<void> read_integrator(const v1::Solver& solver, Model& model) {
   switch (solver.integrator()) {
     case v1::Solver::INTEGRATOR_UNSPECIFIED:
@@ -33,7 +36,7 @@ Result<void> read_integrator(const v1::Solver& solver, Model& model) {
     default:
       return invalid(fmt::format("scene.solver.integrator: {} is unknown", static_cast<int>(solver.integrator())));
   }
-  const std::uint32_t otherwise = model.quasi_static() ? 50 : 1;
+  const std::uint32_t otherwise = model.quasi_static() ? kEquilibriumIterations : 1;
   TM_ASSIGN_OR_RETURN(iterations,
                       read_number(solver.has_newton_max_iterations() ? solver.newton_max_iterations() : otherwise, 1,
                                   limits::kMaxNewtonIterations, "scene.solver.newton_max_iterations"));

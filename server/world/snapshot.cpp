@@ -286,6 +286,7 @@ std::string write_snapshot(const model::Model& model, std::uint64_t scene_hash, 
   message.set_held_steps(world.held_steps);
   message.set_recovering(world.recovering);
   message.set_stuck_s(world.stuck_s);
+  message.set_bodies_touch(world.bodies_touch);
   message.set_next_diagnostics(state.next_diagnostics);
   return seal_snapshot(message.SerializeAsString());
 }
@@ -347,6 +348,7 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
   world.recovering = message.recovering();
   TM_ASSIGN_OR_RETURN(stuck, model::read_number(message.stuck_s(), 0, kMaxReal, "snapshot.stuck_s"));
   world.stuck_s = stuck;
+  world.bodies_touch = message.bodies_touch();
   out.next_diagnostics = message.next_diagnostics();
   return out;
 }

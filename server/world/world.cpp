@@ -144,6 +144,7 @@ void World::read_broken() {
 bool World::step(bool gather_visible) {
   has_event_ = recovering_ = false;
   const bool begins_to_leave = take_tools_out();
+  by_euler_ = asks_for_euler(published_, bodies_touch_);
   for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].move(model_->dt_s, published_[i]);
   const Projection before = projection_;
   const solver::StepResult last_good = last_;
@@ -176,6 +177,7 @@ bool World::step(bool gather_visible) {
   recovering_ = recovering_ || begins_to_leave;
   stuck_s_ = std::max(0.0, stuck_s_ + (recovering_ ? kWeightOfRecovery : -1) * model_->dt_s);
   if (gather_visible && (has_event_ || moves_tools)) state_->gather_visible();
+  bodies_touch_ = last_.touching_nodes > 0;
   energy_.add_step(last_.kinetic_energy_j, last_.work_j, tools_work_j_);
   ++step_count_;
   // No spring heals between two steps, so an equal count means the same springs.
@@ -335,6 +337,22 @@ bool World::jumps(const Vec3<double>& from_n, const Vec3<double>& to_n) {
 /// acceleration of an impact into the step after it, and throw the tissue off.
 bool World::starts_anew(bool jumped) const { return model_->integrator == model::Integrator::kBdf2 && jumped; }
 
+/// Whether contact that acts makes a step one of implicit Euler. The midpoint rule would keep the energy that contact
+/// should take out, and BDF2 with kept forces alternates between two of them.
+bool World::asks_for_euler(std::span<const backend::ToolForce> forces, bool bodies_touch) const {
+  switch (model_->integrator) {
+    case model::Integrator::kImplicitMidpoint:
+      return bodies_touch || touches(forces);
+    case model::Integrator::kBdf2:
+      for (std::size_t i = 0; i < forces.size(); ++i) {
+        if (model_->tools[i].keeps_force && touches({&forces[i], 1})) return true;
+      }
+      return false;
+    default:
+      return false;
+  }
+}
+
 /// Makes the step as planned: in one part, with the consistent stiffness unless that failed lately or a tool touches.
 BoundCheck World::plan_step(bool gather_visible) {
   constexpr Retry kAsPlanned{1, 1, false, Breach::kNone};
@@ -376,13 +394,24 @@ BoundCheck World::retry(const BoundCheck& first) {
   return event_.last;
 }
 
-/// Makes a step in equal parts. Each part must stay within the bounds; the first that does not ends the step.
+/// Makes a step, and makes it again by implicit Euler if contact that begins in it asks for that.
 /// saves_checkpoint: the state before the step becomes the checkpoint. A retry starts from the checkpoint that is
 /// there.
 BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
                             bool saves_checkpoint, bool gather_visible) {
+  const bool was_by_euler = by_euler_;
+  const BoundCheck check = make_parts(how, projects_stiffness, cg_max_iterations, saves_checkpoint, gather_visible);
+  if (was_by_euler || !by_euler_) return check;
+  state_->restore();
+  return make_parts(how, projects_stiffness, cg_max_iterations, false, gather_visible);
+}
+
+/// Makes a step in equal parts. Each part must stay within the bounds; the first that does not ends the step, and so
+/// does one after which the step must be made by implicit Euler.
+BoundCheck World::make_parts(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
+                             bool saves_checkpoint, bool gather_visible) {
   // The midpoint rule balances forces in the middle of a step, so its loads are there. Contact is that of the end.
-  const double balanced_at = model_->extrapolates() ? 0.5 : 1;
+  const double balanced_at = model_->extrapolates() && !by_euler_ ? 0.5 : 1;
   const bool loads_grow = model_->quasi_static() && step_count_ == 0;
   // One product, so that halves of a step end at bitwise the same time as steps of half its length.
   const auto time_s = [&](double share) { return (static_cast<double>(step_count_) + share) * model_->dt_s; };
@@ -408,11 +437,16 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
                           .cg_max_iterations = cg_max_iterations,
                           .saves_checkpoint = saves_checkpoint,
                           .first_order = how.fallback_settings || starts_anew(trial_jumped_),
+                          .by_euler = by_euler_,
                           .projects_stiffness = projects_stiffness,
                           .loads_time_s = loads_time_s(share),
                           .load_factor = loads_grow ? share : 1,
                           .gather_visible = gather_visible},
                          forces_);
+    if (!by_euler_ && asks_for_euler(forces_, last_.touching_nodes > 0)) {
+      by_euler_ = true;
+      return {};
+    }
     StepEnergy energy{.available_j = energy_.available_j()};
     trial_jumped_ = false;
     for (std::size_t i = 0; i < tools_.size(); ++i) {
@@ -458,7 +492,7 @@ void World::reset() {
   step_count_ = 0;
   last_ = {};
   projection_ = {};
-  has_event_ = recovering_ = false;
+  has_event_ = recovering_ = bodies_touch_ = false;
   held_steps_ = 0;
   stuck_s_ = 0;
   read_broken();
@@ -477,6 +511,7 @@ World::Saved World::save() {
   out.held_steps = held_steps_;
   out.recovering = recovering_;
   out.stuck_s = stuck_s_;
+  out.bodies_touch = bodies_touch_;
   projection_.save(out);
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     out.tools.push_back({tools_[i].save(), readings_[i].newest, published_[i]});
@@ -497,6 +532,7 @@ void World::restore(const Saved& saved) {
   held_steps_ = saved.held_steps;
   recovering_ = saved.recovering;
   stuck_s_ = saved.stuck_s;
+  bodies_touch_ = saved.bodies_touch;
   projection_.restore(saved);
   energy_.set_entries(saved.energy);
   set_cg_limit(saved.cg_limit);

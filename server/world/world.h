@@ -72,6 +72,7 @@ class World {
     std::uint32_t held_steps = 0;  ///< steps on end in which the tissue was held
     bool recovering = false;       ///< see World::recovering
     double stuck_s = 0;            ///< grows with each step of a recovery, falls with each other one
+    bool bodies_touch = false;     ///< bodies touched each other at the end of the last step
   };
   /// Copies the state. Allocates; for requests.
   Saved save();
@@ -131,6 +132,7 @@ class World {
   static bool touches(std::span<const backend::ToolForce> forces);
   static bool jumps(const Vec3<double>& from_n, const Vec3<double>& to_n);
   bool starts_anew(bool jumped) const;
+  bool asks_for_euler(std::span<const backend::ToolForce> forces, bool bodies_touch) const;
   BoundCheck plan_step(bool gather_visible);
   BoundCheck check_loads(double rise) const;
   BoundCheck step_with_tools_moved(BoundCheck check);
@@ -145,6 +147,8 @@ class World {
   BoundCheck retry(const BoundCheck& first);
   BoundCheck make_step(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
                        bool saves_checkpoint, bool gather_visible);
+  BoundCheck make_parts(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
+                        bool saves_checkpoint, bool gather_visible);
 
   /// A tool's shape and the load on it. Two of them give the work of the tool in between.
   struct Touch {
@@ -193,6 +197,8 @@ class World {
   std::vector<backend::ToolForce> published_;  // [tool], at the end of the last step
   bool contact_jumped_ = false;                // in the last step, or its last part
   bool trial_jumped_ = false;                  // the same of the step that is tried
+  bool bodies_touch_ = false;                  // at the end of the last step
+  bool by_euler_ = false;                      // the current step is one of implicit Euler, whatever the integrator
   // The current step, [tool].
   std::vector<backend::ToolInput> inputs_;  // at the end of the current part
   std::vector<Touch> touches_;              // at the end of the previous part

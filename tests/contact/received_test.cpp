@@ -102,6 +102,7 @@ struct Impulses {
 Impulses push(world::World& world, const Scheme& scheme) {
   Impulses out;
   const bool is_bdf2 = scheme.integrator == v1::Solver::INTEGRATOR_BDF2;
+  const bool keeps_force = world.model().tools[0].keeps_force;
   physics::Pose pose = world.model().tools[0].initial_pose;
   Vec3<double> before = momentum(world), last = before, felt = Vec3<double>::Zero();
   bool starts_anew = true;  // by implicit Euler: the first step, and one after a jump of the force
@@ -110,9 +111,10 @@ Impulses push(world::World& world, const Scheme& scheme) {
     world.set_tool_target(0, pose);
     EXPECT_TRUE(world.step(false)) << "step " << i;
     const Vec3<double> now = momentum(world), on_tissue = -world.readings()[0].force_n;
-    // BDF2: M (3 v' − 4 v + v₋₁) / (2 dt) = F.
+    // BDF2: M (3 v' − 4 v + v₋₁) / (2 dt) = F. With kept forces it makes steps of implicit Euler in contact.
+    const bool by_euler = starts_anew || (keeps_force && !(felt.isZero(0) && on_tissue.isZero(0)));
     const Vec3<double> received =
-        is_bdf2 && !starts_anew ? Vec3<double>((3 * now - 4 * before + last) / 2) : now - before;
+        is_bdf2 && !by_euler ? Vec3<double>((3 * now - 4 * before + last) / 2) : now - before;
     const Vec3<double> missing = received - kDtS * on_tissue;
     if (world.guard_event() == nullptr && world.last().newton_residual <= world.model().newton_tolerance) {
       out.missing += missing;

@@ -543,7 +543,7 @@ def test_defaults_are_those_of_the_schema() -> None:
     assert (defaults.newton_max_iterations(solver), defaults.newton_tolerance(solver)) == (1, 1e-3)
     solver.integrator, solver.precision = scene_pb2.Solver.INTEGRATOR_QUASI_STATIC, scene_pb2.Solver.PRECISION_DOUBLE
     assert (defaults.cg_max_iterations(solver), defaults.cg_tolerance(solver)) == (10_000, 1e-5)
-    assert (defaults.newton_max_iterations(solver), defaults.newton_tolerance(solver)) == (50, 1e-6)
+    assert (defaults.newton_max_iterations(solver), defaults.newton_tolerance(solver)) == (200, 1e-6)
     for ends_s in (2.0, 7.0, 3.0):
         scene.bodies.add().prescribed.add().schedule.time_s.extend([0.0, ends_s])
     assert defaults.scheduled_s(scene) == 7.0

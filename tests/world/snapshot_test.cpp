@@ -30,6 +30,30 @@ v1::Scene scene_of(const Kind& kind) {
   return scene;
 }
 
+/// Adds a block that lies on the first one and is tied to it, beside the probe.
+void add_ties(v1::Scene& s) {
+  v1::Body& above = *s.add_bodies();
+  above = s.bodies(0);
+  above.set_name("above");
+  above.clear_fixed();
+  above.mutable_mesh()->set_scale(0.3);
+  tests::set(*above.mutable_mesh()->mutable_translation_m(), 0, 0.051, 0);
+  v1::BodyContact& contact = *s.add_body_contacts();
+  contact.set_body("above");
+  contact.set_other(s.bodies(0).name());
+  contact.set_friction_coefficient(0.3);
+  v1::Attachment& spring = *s.add_attachments();
+  spring.set_name("spring");
+  spring.set_body("above");
+  spring.set_other(s.bodies(0).name());
+  for (std::uint32_t node = 0; node < 5; ++node) {
+    spring.mutable_region()->mutable_nodes()->add_indices(node);
+    spring.mutable_other_region()->mutable_nodes()->add_indices(node);
+  }
+  spring.set_stiffness_n_per_m(100);
+  spring.set_breaking_force_n(0.1);
+}
+
 const std::vector<Kind>& kinds() {
   static const std::vector<Kind> all{
       {"euler", [](v1::Scene&) {}},
@@ -49,28 +73,16 @@ const std::vector<Kind>& kinds() {
          term.set_relaxation_time_s(0.1);
        }},
       {"mass", [](v1::Scene& s) { s.mutable_tools(0)->set_mass_kg(0.05); }},
-      {"ties",
+      {"bdf2_kept_forces",
        [](v1::Scene& s) {
-         v1::Body& above = *s.add_bodies();
-         above = s.bodies(0);
-         above.set_name("above");
-         above.clear_fixed();
-         above.mutable_mesh()->set_scale(0.3);  // beside the probe
-         tests::set(*above.mutable_mesh()->mutable_translation_m(), 0, 0.051, 0);
-         v1::BodyContact& contact = *s.add_body_contacts();
-         contact.set_body("above");
-         contact.set_other(s.bodies(0).name());
-         contact.set_friction_coefficient(0.3);
-         v1::Attachment& spring = *s.add_attachments();
-         spring.set_name("spring");
-         spring.set_body("above");
-         spring.set_other(s.bodies(0).name());
-         for (std::uint32_t node = 0; node < 5; ++node) {
-           spring.mutable_region()->mutable_nodes()->add_indices(node);
-           spring.mutable_other_region()->mutable_nodes()->add_indices(node);
-         }
-         spring.set_stiffness_n_per_m(100);
-         spring.set_breaking_force_n(0.1);
+         s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_BDF2);
+         s.mutable_tools(0)->set_contact_method(v1::CONTACT_METHOD_AUGMENTED_LAGRANGIAN);
+       }},
+      {"ties", add_ties},
+      {"midpoint_ties",
+       [](v1::Scene& s) {
+         add_ties(s);
+         s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_IMPLICIT_MIDPOINT);
        }},
       {"newton", [](v1::Scene& s) { s.mutable_solver()->set_newton_max_iterations(4); }},
       {"two_threads",

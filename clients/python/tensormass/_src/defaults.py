@@ -32,7 +32,7 @@ def newton_max_iterations(solver: scene_pb2.Solver) -> int:
     """Returns the largest number of linearized solves in a step."""
     if solver.HasField("newton_max_iterations"):
         return solver.newton_max_iterations
-    return 50 if solver.integrator == _QUASI_STATIC else 1
+    return 200 if solver.integrator == _QUASI_STATIC else 1
 
 
 def newton_tolerance(solver: scene_pb2.Solver) -> float:
