@@ -313,6 +313,39 @@ TM_HOST_DEVICE Real stiffened(Touch<Real>& touch, Real stiffness, Real kept_n, R
   return least;
 }
 
+/// Returns the stiffness of the element behind a triangle, E times the leg of a right triangle of this size [N/m].
+template <class Real>
+TM_HOST_DEVICE Real element_stiffness(const view::ContactView<Real>& contact, std::uint32_t triangle) {
+  using std::sqrt;
+  return contact.triangle_moduli[std::size_t{2} * triangle] * sqrt(contact.triangle_area[triangle] / 2);
+}
+
+/// Returns how many times stiffer than at its surface the contact of a solid may become with depth: 1 if the scene
+/// gives its stiffness, or the contact keeps its force.
+template <class Real>
+TM_HOST_DEVICE Real steepest_slope(const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
+                                   std::uint32_t triangle) {
+  const Real whole = whole_stiffness(contact, tool, triangle);
+  if (tool.keeps_force != 0 || !(tool.penalty_per_m > 0 && whole > 0)) return 1;
+  return maximum(Real(kStiffest) * element_stiffness(contact, triangle) / whole, Real(1));
+}
+
+/// Returns the least stiffness of a contact that keeps its force [N/m]. A softer spring would not follow the mass in
+/// front of it, and under the edge of a box or a mesh not the element.
+template <class Kind, class Real>
+TM_HOST_DEVICE Real least_stiffness(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                    const physics::PlacedTool<Real>& tool, std::uint32_t triangle,
+                                    const Touch<Real>& touch) {
+  const Real inertial = inertial_stiffness(state, contact, triangle, touch.weights);
+  if constexpr (Kind::kIsSolid) {
+    if (!(Kind::middle_m(tool) > 0)) return inertial;
+    const Real elastic = Real(kKeptStiffness) * element_stiffness(contact, triangle);
+    return maximum(inertial, tool.presence * touch.share * elastic);
+  } else {
+    return inertial;
+  }
+}
+
 /// Computes each triangle's contacts with one tool.
 template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::PatchesView& patches,
@@ -324,7 +357,7 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     Real stiffness = whole_stiffness(contact, tool, triangle) * touch.share;
     if (tool.keeps_force != 0) {
       stiffness = stiffened(touch, stiffness, tool.presence * contact.slips[4 * place + 3],
-                            inertial_stiffness(state, contact, triangle, touch.weights));
+                            least_stiffness<Kind>(state, contact, tool, triangle, touch));
     }
     out.depth_m = touch.depth_m;
     out.stiffness = 0;
@@ -351,9 +384,12 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
       const auto kept = [&](std::uint32_t point) { return kept_depth(contact, tool, point, triangle); };
       const Real area = contact.triangle_area[triangle];
       const Corners<Real> ahead = motion_ahead(state, contact, triangle);
+      const Real steepest = steepest_slope(contact, tool, triangle);
       for_each_touch_of_solid<Kind>(
           tool, corners, ahead, area, kept,
-          [&](std::uint32_t point, const Touch<Real>& touch) { store(triangle, point, corners, touch); });
+          [&](std::uint32_t point, const Touch<Real>& touch) {
+            store(triangle, point, corners, hardened_solid<Kind>(touch, tool, steepest));
+          });
     });
   } else {
     const CoreDepths<Kind, Real> core_depths(patches, contact, tool);

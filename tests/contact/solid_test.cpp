@@ -89,6 +89,28 @@ TEST_P(EverySolid, FeelsStiffnessTimesDepthTimesArea) {
   }
 }
 
+/// The default contact hardens with depth, up to a bound; that of a plane does not.
+TEST_P(EverySolid, HardensUnlessItsStiffnessIsGiven) {
+  const double doubles_at = kDoublesAt * 0.5, radius = GetParam() == "plane" ? 0.1 * std::sqrt(3.0) : 0.25;
+  const double modulus = tests::Beam{}.young_modulus_pa, stiffness = 20 * modulus / radius;
+  const double steepest = kStiffest * modulus / stiffness;  // triangles have legs of 1 m
+  for (const double depth : {1e-3, 1e-2, 0.1}) {
+    v1::Scene scene = rigid_block(depth);
+    v1::Tool& tool = *scene.mutable_tools(0);
+    if (tool.has_box()) tool.mutable_box()->clear_penalty_stiffness_pa_per_m();
+    if (tool.has_mesh()) tool.mutable_mesh()->clear_penalty_stiffness_pa_per_m();
+    if (tool.has_plane()) tool.mutable_plane()->clear_penalty_stiffness_pa_per_m();
+    Staged staged(scene);
+    staged.step();
+    double expected = stiffness * depth;
+    if (GetParam() != "plane") {
+      const double begun = std::min(depth, (steepest - 1) * doubles_at);
+      expected += stiffness * begun * (depth - begun / 2) / doubles_at;
+    }
+    EXPECT_NEAR(measured(staged).force_n[1], expected, 1e-3 * expected) << depth;
+  }
+}
+
 /// The tissue gains the momentum and the angular momentum that the reported load of the tool gives.
 TEST_P(EverySolid, ActsOnTheTissueAsTheTissueOnIt) {
   const mesh::Mesh mesh = mesh::testing::random_mesh(8, 4, 1.0);
