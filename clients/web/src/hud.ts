@@ -164,6 +164,7 @@ function write(id: string, text: string): void {
 
 function findingItem({ message, remedy, place, accepted }: Finding): HTMLElement {
   const result = document.createElement("li");
+  result.classList.toggle("accepted", accepted !== "");
   result.append(line("p", message));
   const advice = accepted === "" ? remedy : `Accepted: ${accepted}`;
   for (const text of [advice, place].filter(Boolean)) {
