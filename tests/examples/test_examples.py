@@ -49,14 +49,16 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "tensormass" / "__init__.py").touch()
     # An editable installation of the SDK would still find its modules.
     (folder / "tensormass" / "_src.py").write_text("raise ImportError('the SDK')", "utf-8")
-    protos = [f"tensormass/v1/{name}.proto" for name in ("guard", "scene", "stream")]
+    protos = [f"tensormass/v1/{name}.proto" for name in ("finding", "guard", "scene", "stream")]
     run("-m", "grpc_tools.protoc", "-I", ROOT / "proto", f"--python_out={folder}", *protos)
     return folder
 
 
 def run(*words: str | Path, folder: Path | None = None, **variables: str | Path) -> str:
-    """Runs Python with these arguments in `folder` and returns what it printed. Fails if it fails."""
-    environment = {**os.environ, "MPLBACKEND": "agg", **{name: str(value) for name, value in variables.items()}}
+    """Runs Python with these arguments in `folder` and returns what it printed. Fails if it fails, and if a scene has a
+    finding (tm.FindingWarning, a UserWarning)."""
+    given = {name: str(value) for name, value in variables.items()}
+    environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONWARNINGS": "error::UserWarning", **given}
     command = [sys.executable, *(str(word) for word in words)]
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=300, check=False, cwd=folder, env=environment
