@@ -1,4 +1,5 @@
 #include <cmath>
+#include <cstring>
 #include <functional>
 #include <string>
 #include <vector>
@@ -237,9 +238,12 @@ v1::Scene two_blocks(double y_m, bool with_skin = false) {
   other.clear_fixed();
   tests::set(*other.mutable_mesh()->mutable_translation_m(), 0.01, y_m, 0.01);
   if (with_skin) {
-    for (v1::Body& body : *scene.mutable_bodies()) {
-      *body.mutable_skin()->mutable_packed() = tests::box_surface({0.1, 0.1, 0.1});
-    }
+    v1::PackedTriangles skin = tests::box_surface({0.1, 0.1, 0.1});
+    std::vector<double> corners(24);
+    std::memcpy(corners.data(), skin.vertex_positions().data(), skin.vertex_positions().size());
+    for (double& coordinate : corners) coordinate += 0.05;
+    skin.set_vertex_positions(tests::packed_bytes(corners));
+    for (v1::Body& body : *scene.mutable_bodies()) *body.mutable_skin()->mutable_packed() = skin;
   }
   return scene;
 }
