@@ -2,8 +2,8 @@
 
 #include <string_view>
 
-#include "mesh/problem.h"
 #include "mesh/mesh.h"
+#include "mesh/problem.h"
 
 namespace tensormass::mesh {
 

@@ -57,7 +57,14 @@ def ligament(cg_max_iterations: int | None = None) -> tm.Scene:
 
 
 def test_a_warning_has_everything_of_a_finding() -> None:
-    fields = {"value": 0.495, "limit": 0.47, "place": "body 'a'.quadrature", "body": "a", "other": "b", "tool": "t"}
+    fields: dict[str, Any] = {
+        "value": 0.495,
+        "limit": 0.47,
+        "place": "body 'a'.quadrature",
+        "body": "a",
+        "other": "b",
+        "tool": "t",
+    }
     warning = pickle.loads(pickle.dumps(tm.FindingWarning(finding(unit="m", **fields))))
     assert (str(warning), warning.code, warning.unit) == ("it locks; mend it", "locking", "m")
     assert {name: getattr(warning, name) for name in fields} == fields

@@ -10,7 +10,7 @@ import { ATTACHED, f32, frameBytes, topologyBytes } from "./messages";
 const frame = (sequence: bigint) => decodeFrame(frameBytes({ sequence }));
 const topology = (version: bigint) => decodeTopology(topologyBytes({ version }));
 const status = (serverTimeNs: bigint, ...messages: string[]) =>
-  create(SceneStatusSchema, { serverTimeNs, findings: messages.map((message, code) => ({ code, body: message, message })) });
+  create(SceneStatusSchema, { serverTimeNs, findings: messages.map((message) => ({ body: message, message })) });
 
 describe("SceneStore", () => {
   let store: SceneStore;
