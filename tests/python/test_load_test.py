@@ -175,6 +175,14 @@ def test_unknown_numbers_are_printed_as_dashes() -> None:
     assert row[heading.index("missed") :].split() == ["2/10", "–", "0", "0", "0"]
 
 
+def test_a_report_has_the_findings_that_a_scene_does_not_accept() -> None:
+    after = stream_pb2.SceneStatus(scene="s")
+    after.findings.add(code="FINDING_CODE_LOCKING", message="it locks", remedy="mend it")
+    after.findings.add(code="FINDING_CODE_OVERLAP", message="they overlap", remedy="no", accepted="a test")
+    scene = load_report.scene_report(stream_pb2.SceneStatus(), after, poses_sent=0)
+    assert scene["findings"] == ["locking: it locks; mend it"]
+
+
 def test_recoveries_are_counted_from_the_start_of_the_test() -> None:
     before = stream_pb2.SceneStatus(scene="s", recoveries=2, recovering_steps=5, held_steps=1)
     after = stream_pb2.SceneStatus(scene="s", recoveries=5, recovering_steps=12, held_steps=3)

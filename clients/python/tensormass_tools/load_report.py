@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tensormass._src.durations import DurationHistogram
+from tensormass._src.findings import code_of, text_of
 from tensormass.v1 import stream_pb2
 
 Json = dict[str, Any]
@@ -85,6 +86,8 @@ def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, 
         "recoveries": grown("recoveries"),
         "recovering_steps": grown("recovering_steps"),
         "held_steps": grown("held_steps"),
+        # At the end of the test.
+        "findings": [f"{code_of(one)}: {text_of(one)}" for one in after.findings if not one.accepted],
     }
 
 
