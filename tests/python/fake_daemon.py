@@ -218,7 +218,9 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
     ) -> control_pb2.LoadSceneResponse:
         await self._command(request, context)
         self.topologies[request.scene.name] = triangle_topology(request.scene.name)
-        return control_pb2.LoadSceneResponse()
+        response = control_pb2.LoadSceneResponse()
+        response.report.findings.add(code="FINDING_CODE_LOCKING", value=0.495, body="beam", message="it locks")
+        return response
 
     async def UnloadScene(  # noqa: N802
         self, request: control_pb2.UnloadSceneRequest, context: Call

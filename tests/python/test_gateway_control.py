@@ -85,6 +85,8 @@ async def test_builtin_scene_is_loaded_under_a_free_name_and_announced_at_once(v
         for name, lockstep in (("beam", False), ("beam-2", True)):
             result = await page.command("load", "beam", lockstep=lockstep)
             assert (result["scene"], result["error"]) == (name, "")
+            found = {"code": "FINDING_CODE_LOCKING", "value": 0.495, "body": "beam", "message": "it locks"}
+            assert result["findings"] == [found]
             command = daemon.commands[-1]
             assert isinstance(command, control_pb2.LoadSceneRequest)
             loaded = command.scene

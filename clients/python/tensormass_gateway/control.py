@@ -74,6 +74,8 @@ class Outcome:
     scene: str
     adjustments: dict[str, Any] | None = None
     """All values of a scene after `adjust`, a SceneAdjustments as JSON with the names of its fields."""
+    findings: list[dict[str, Any]] | None = None
+    """The findings of a scene after `load`, each a Finding as JSON with the names of its fields."""
 
 
 def read_command(request: dict[str, Any]) -> Command:
@@ -127,7 +129,7 @@ class Control:
         try:
             if command.action is Action.LOAD:
                 async with self._loading:
-                    return Outcome(await self._load(command))
+                    return await self._load(command)
             if command.action is Action.ADJUST:
                 return await self._adjust(command)
             await self._call(command)
@@ -164,7 +166,7 @@ class Control:
             case _:
                 raise CommandError(f"{command.action} is for recordings; a running scene has no time line")
 
-    async def _load(self, command: Command) -> str:
+    async def _load(self, command: Command) -> Outcome:
         try:
             scene = await asyncio.to_thread(_read_builtin, command.scene)
         except (TensormassError, OSError) as error:
@@ -172,9 +174,10 @@ class Control:
         scene.name = _free_name(command.scene, self._daemon.scenes)
         if command.lockstep:
             scene.stepping.lockstep = True
-        await self._daemon.control.LoadScene(control_pb2.LoadSceneRequest(scene=scene), timeout=LOAD_TIMEOUT_S)
+        reply = await self._daemon.control.LoadScene(control_pb2.LoadSceneRequest(scene=scene), timeout=LOAD_TIMEOUT_S)
         self._daemon.learn(scene)
-        return scene.name
+        found = [json_format.MessageToDict(one, preserving_proto_field_name=True) for one in reply.report.findings]
+        return Outcome(scene.name, findings=found)
 
 
 def _read_builtin(name: str) -> scene_pb2.Scene:

@@ -20,7 +20,8 @@ they replace (gateway.proto). Text messages are JSON objects with a `type`:
                                   recording: file, duration_s, frames, marks, note (only of a recording)
                          head     time_s, frame, playing, speed: the play head of a recording
                          clock    client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
-                         result   id, action, scene of a command; error (empty: it succeeded); adjustments (adjust)
+                         result   id, action, scene of a command; error (empty: it succeeded); adjustments (adjust);
+                                  findings (load)
                          frames   codec, rate_hz, normals, detail that hold now; error (empty: as asked)
     browser -> gateway   watch    scene
                          ack      stream; keyframe (codec delta): the one that the browser has
@@ -406,6 +407,8 @@ class Gateway:
         result = {"type": "result", "id": command.id, "action": command.action, "scene": outcome.scene, "error": error}
         if outcome.adjustments is not None:
             result["adjustments"] = outcome.adjustments
+        if outcome.findings is not None:
+            result["findings"] = outcome.findings
         await browser.socket.send_json(result)
 
     def _daemon_state(self, browser: Browser) -> dict[str, Any]:
