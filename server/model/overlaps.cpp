@@ -22,7 +22,7 @@ namespace tensormass::model {
 
 namespace {
 
-/// Points of a surface that are looked at, for each pair of bodies without contact. Each takes about 2 µs.
+/// Points of a surface that are looked at, for each pair of bodies without contact. A smaller overlap may be missed.
 constexpr std::size_t kSamples = 1024;
 
 /// A body's boundary at rest.
