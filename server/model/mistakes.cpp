@@ -55,7 +55,7 @@ void find_locking(const ReadBody& read, const BodyModel& body, std::vector<Findi
        .place = fmt::format("body '{}'.quadrature", body.name),
        .body = body.name,
        .message = fmt::format("body '{}': linear elements ({}) in full quadrature lock at a Poisson's ratio of {:.5g}: "
-                              "the body is more than twice too stiff",
+                              "the body is twice too stiff or more",
                               body.name, shape->name, largest),
        .remedy = fmt::format("give it quadrature: selective{}",
                              shape == &tetrahedron ? ", or element_order: quadratic" : "")});
