@@ -4,7 +4,7 @@ recording, chunk     a recording's file; the content of a chunk, packed and summ
 message, query       what a browser sends to the gateway: WebSocket messages, and the choice in its address
 bus                  topology and frame of a daemon, in the gateway
 frame                an encoded frame, in a viewer
-scene, mesh          files of the SDK
+scene, mesh, labels  files of the SDK
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ import zstandard
 
 import tensormass as tm
 from tensormass._src import demo, mesh_files
+from tensormass._src.label_formats import reading
+from tensormass._src.mesh_formats.raw import FormatError
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import recording_pb2, scene_pb2, stream_pb2
 from tensormass_gateway.choice import Choice, ChoiceError, Codec, choice_of
@@ -277,6 +279,33 @@ def read_mesh(data: bytes) -> None:
         read(path)
 
 
+def labels() -> list[bytes]:
+    """A label map of each kind, behind its ending; the NIfTI file as the header's fields alone."""
+    nifti = bytearray(352 + 8)
+    struct.pack_into("<i", nifti, 0, 348)
+    struct.pack_into("<8h", nifti, 40, 3, 2, 2, 2, 1, 1, 1, 1)
+    struct.pack_into("<2h", nifti, 70, 2, 8)
+    struct.pack_into("<4f", nifti, 76, 1, 1, 1, 1)
+    struct.pack_into("<f", nifti, 108, 352)
+    nifti[123] = 2
+    struct.pack_into("<2h", nifti, 252, 1, 0)
+    nifti[344:348] = b"n+1\0"
+    nrrd = (
+        b"NRRD0004\ntype: uchar\ndimension: 4\nspace: RAS\nsizes: 1 2 2 2\nspace directions: none (1,0,0) (0,1,0) (0,0,1)\n"
+        b"kinds: list domain domain domain\nencoding: raw\nspace origin: (0,0,0)\nSegment0_Name:=liver\n"
+        b"Segment0_LabelValue:=1\nSegment0_Layer:=0\n\n" + bytes(8)
+    )
+    return [b".nii\n" + bytes(nifti), b".nrrd\n" + nrrd]
+
+
+def read_labels(data: bytes) -> None:
+    ending, _, content = data.partition(b"\n")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / ("a.nii" if ending == b".nii" else "a.nrrd")
+        path.write_bytes(content)
+        reading.read(path)
+
+
 def _decode_error() -> type[Exception]:
     from google.protobuf.message import DecodeError
 
@@ -292,6 +321,7 @@ TARGETS: dict[str, Target] = {
     "frame": Target(frames, read_frame, (FrameError,)),
     "scene": Target(scenes, read_scene, (tm.TensormassError,)),
     "mesh": Target(meshes, read_mesh, (tm.TensormassError,)),
+    "labels": Target(labels, read_labels, (FormatError,)),
 }
 
 

@@ -22,6 +22,7 @@ COUNTS = {
     "frame": 2000,
     "scene": 1000,
     "mesh": 300,
+    "labels": 2000,
 }
 """Mutated inputs of each target: at most a few seconds."""
 

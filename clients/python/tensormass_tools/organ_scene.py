@@ -166,19 +166,34 @@ def _probe(bodies: Sequence[Body]) -> list[str]:
     free = _distance(center, nodes[body.held]) if body.held.any() else np.zeros(len(center))
     reach = radius_m * (1 + _GAP)
     for index in np.argsort(-free, kind="stable")[:200]:
-        at = center[index] + normal[index] * reach
+        away = normal[index]
+        at = center[index] + away * reach
         if np.linalg.norm(skin - at, axis=1).min() > radius_m * (1 + _GAP / 2):
             break
     else:
         low, high = skin.min(axis=0), skin.max(axis=0)
+        away = np.array([0.0, -1.0, 0.0])
         at = np.array([(low[0] + high[0]) / 2, low[1] - reach, (low[2] + high[2]) / 2])
     return [
         "tools:",
-        *_comment("A probe no smaller than the triangles that it touches.", "  "),
+        *_comment(
+            "A probe no smaller than the triangles that it touches. Its shaft points away from the tissue.", "  "
+        ),
         "  - name: probe",
         f"    spherical_probe: {{radius_m: {_number(radius_m)}}}",
         f"    position_m: {_vector(at)}",
+        f"    orientation: {_quaternion(away)}",
     ]
+
+
+def _quaternion(direction: FloatArray) -> str:
+    """Returns a rotation that turns z into a direction of length 1."""
+    x, y, z = (float(part) for part in direction)
+    if z < -1 + 1e-6:
+        return "{w: 0, x: 1, y: 0, z: 0}"
+    length = np.sqrt(2 * (1 + z))
+    w, a, b = ((1 + z) / length, -y / length, x / length)
+    return f"{{w: {_number(w)}, x: {_number(a)}, y: {_number(b)}, z: 0}}"
 
 
 def _distance(points: FloatArray, others: FloatArray) -> FloatArray:
