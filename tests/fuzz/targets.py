@@ -291,8 +291,9 @@ def labels() -> list[bytes]:
     struct.pack_into("<2h", nifti, 252, 1, 0)
     nifti[344:348] = b"n+1\0"
     nrrd = (
-        b"NRRD0004\ntype: uchar\ndimension: 4\nspace: RAS\nsizes: 1 2 2 2\nspace directions: none (1,0,0) (0,1,0) (0,0,1)\n"
-        b"kinds: list domain domain domain\nencoding: raw\nspace origin: (0,0,0)\nSegment0_Name:=liver\n"
+        b"NRRD0004\ntype: uchar\ndimension: 4\nspace: RAS\nsizes: 1 2 2 2\n"
+        b"space directions: none (1,0,0) (0,1,0) (0,0,1)\nkinds: list domain domain domain\nencoding: raw\n"
+        b"space origin: (0,0,0)\nSegment0_Name:=liver\n"
         b"Segment0_LabelValue:=1\nSegment0_Layer:=0\n\n" + bytes(8)
     )
     return [b".nii\n" + bytes(nifti), b".nrrd\n" + nrrd]
