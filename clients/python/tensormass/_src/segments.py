@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 _MARGIN = 2
 # A surface lies half a voxel from the centres of the voxels beside it; smoothing and meshing may add so much [voxels].
 _SLACK = 0.75
-_EVERYWHERE = np.ones((3, 3, 3), bool)
+# Voxels on each side of a point that are looked at along an axis, and points at a time.
+_MAX_STEPS = 8
+_POINTS = 256
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,10 @@ class Chosen:
 
 def named(labels: Labels) -> list[Segment]:
     """Returns the segments that the file names; without names, each label, by its number."""
-    if labels.segments:
-        return labels.segments
-    found = np.flatnonzero(np.bincount(labels.voxels.reshape(-1)))
-    return [Segment(str(label), int(label)) for label in found if label]
+    if not labels.segments:  # counted once, because an image may be large
+        found = np.flatnonzero(np.bincount(labels.voxels.reshape(-1)))
+        labels.segments = [Segment(str(label), int(label)) for label in found if label]
+    return labels.segments
 
 
 def find(labels: Labels, name: str, where: str) -> Segment:
@@ -228,17 +230,21 @@ def touching(labels: Labels, chosen: Chosen, other: BoolArray, points_m: FloatAr
         other: voxels of the other one, [i, j, k] of the label map.
         slack_m: distance by which the surface may be off.
     """
-    from scipy import ndimage
-
-    first = np.rint(np.linalg.solve(labels.affine, chosen.affine[:, 3])[:3]).astype(int)
-    reach = 1 + np.maximum(0.5 + _SLACK, 0.5 + slack_m / chosen.spacing_m)
-    margin = np.ceil(reach).astype(int)
-    low = np.maximum(first - margin, 0)
-    high = np.minimum(first + np.array(chosen.mask.shape) + margin, other.shape)
-    near = other[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-    if not near.any():
-        return np.zeros(len(points_m), bool)
-    distance = ndimage.distance_transform_edt(~near, sampling=1 / (reach - 1))
+    # Largest distance from the centre of a voxel, along each axis.
+    reach = np.maximum(0.5 + _SLACK, 0.5 + slack_m / chosen.spacing_m)
+    most = np.ceil(reach).astype(int)
+    # Of many small voxels, some are enough.
+    steps = [np.arange(-end, end + 1, max(1, end // _MAX_STEPS)) for end in most]
+    offsets = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
     inverse = np.linalg.inv(labels.affine)
-    index = (points_m @ inverse[:3, :3].T + inverse[:3, 3] - low).T
-    return ndimage.map_coordinates(distance, index, order=1, mode="nearest") <= 1.0
+    places = points_m @ inverse[:3, :3].T + inverse[:3, 3]
+    found = np.zeros(len(points_m), bool)
+    limits = np.array(other.shape) - 1
+    for first in range(0, len(places), _POINTS):
+        piece = places[first : first + _POINTS, np.newaxis]
+        voxels = np.rint(piece).astype(int) + offsets
+        near = (((voxels - piece) / reach) ** 2).sum(axis=2) <= 1
+        near &= ((voxels >= 0) & (voxels <= limits)).all(axis=2)
+        i, j, k = np.moveaxis(np.clip(voxels, 0, limits), 2, 0)
+        found[first : first + _POINTS] = (near & other[i, j, k]).any(axis=1)
+    return found
