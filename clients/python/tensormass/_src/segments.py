@@ -233,7 +233,7 @@ def touching(labels: Labels, chosen: Chosen, other: BoolArray, points_m: FloatAr
     # Largest distance from the centre of a voxel, along each axis.
     reach = np.maximum(0.5 + _SLACK, 0.5 + slack_m / chosen.spacing_m)
     most = np.ceil(reach).astype(int)
-    # Of many small voxels, some are enough.
+    # Some of many small voxels are enough.
     steps = [np.arange(-end, end + 1, max(1, end // _MAX_STEPS)) for end in most]
     offsets = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
     inverse = np.linalg.inv(labels.affine)
