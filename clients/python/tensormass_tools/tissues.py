@@ -60,9 +60,7 @@ def by_name(name: str) -> Tissue:
     poisson = _number(entry.get("poisson_ratio", table["poisson_ratio"]))
     density = _number(entry["density_kg_per_m3"])
     ratio = 2 * (1 + poisson.value)
-    if "young_modulus_pa" in entry:
-        young = _number(entry["young_modulus_pa"])
-    elif "shear_modulus_pa" in entry:
+    if "shear_modulus_pa" in entry:
         measured = _number(entry["shear_modulus_pa"])
         young = Number(ratio * measured.value, f"2 (1 + nu) times a shear modulus: {measured.why}")
     else:
