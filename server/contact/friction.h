@@ -20,8 +20,8 @@
 ///    and N predicted before the solve. The system stays symmetric and positive definite. Where it slides, the force is
 ///    then exact only if the prediction is; in steady sliding it is.
 /// 3. ξ is predicted with the velocities before the solve. In a step that is linearized once, N is that of the last
-///    step: predicted, it would be many times too large when a tool strikes tissue. Newton's method predicts N, too. Its
-///    iterations correct it, and they measure the force at the end of the step.
+///    step: predicted, it would be many times too large when a tool strikes tissue. Newton's method predicts N, too.
+///    Its iterations correct it, and they measure the force at the end of the step.
 /// 4. After the solve the stretch is returned to the cone k |ξ| ≤ μ N (return mapping: Wriggers 2006, section 5.2). It
 ///    is kept in the frame of the tool's shape, and turns with the tool, though not with a joint.
 namespace tensormass::contact {

@@ -23,7 +23,8 @@
 ///    its way enters, across the gap.
 /// 4. A side of the tissue that stands on a table touches it with its lower corners, but carries nothing. Therefore the
 ///    area towards the solid counts.
-/// 5. The default penalty of a box or a mesh hardens with depth (hardened_solid). A stiffness that the scene gives stays
+/// 5. The default penalty of a box or a mesh hardens with depth (hardened_solid). A stiffness that the scene gives
+/// stays
 ///    as it is.
 namespace tensormass::contact {
 
@@ -111,8 +112,8 @@ TM_HOST_DEVICE Touch<Real> entered_face(const physics::PlacedTool<Real>& tool, c
   return touch;
 }
 
-/// Returns where a box or a mesh touches with the pressure k p(depth) in place of k depth, as its tangent: k is p' times
-/// as large, and the depth is that at which a spring of this k has the pressure.
+/// Returns where a box or a mesh touches with the pressure k p(depth) in place of k depth, as its tangent: k is p'
+/// times as large, and the depth is that at which a spring of this k has the pressure.
 ///
 ///   p = depth + depth² / (2 d0)     d0 = kDoublesAt of the thickness: there the slope is 2
 ///

@@ -385,11 +385,10 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
       const Real area = contact.triangle_area[triangle];
       const Corners<Real> ahead = motion_ahead(state, contact, triangle);
       const Real steepest = steepest_slope(contact, tool, triangle);
-      for_each_touch_of_solid<Kind>(
-          tool, corners, ahead, area, kept,
-          [&](std::uint32_t point, const Touch<Real>& touch) {
-            store(triangle, point, corners, hardened_solid<Kind>(touch, tool, steepest));
-          });
+      for_each_touch_of_solid<Kind>(tool, corners, ahead, area, kept,
+                                    [&](std::uint32_t point, const Touch<Real>& touch) {
+                                      store(triangle, point, corners, hardened_solid<Kind>(touch, tool, steepest));
+                                    });
     });
   } else {
     const CoreDepths<Kind, Real> core_depths(patches, contact, tool);

@@ -511,7 +511,7 @@ World::Saved World::save() {
   out.held_steps = held_steps_;
   out.recovering = recovering_;
   out.stuck_s = stuck_s_;
-  out.bodies_touch = bodies_touch_;
+  out.bodies_touch = bodies_touch_ && model_->extrapolates();  // other schemes do not ask
   projection_.save(out);
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     out.tools.push_back({tools_[i].save(), readings_[i].newest, published_[i]});

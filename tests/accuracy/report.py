@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from . import advice, calibration, contact_parts, press, press_parts, record, trade_plot, trade_tables
+from . import advice, calibration, contact_parts, press, press_parts, record, rigid, trade_plot, trade_tables
 from .case import Case, Outcome
 from .cases import all_cases
 from .tables import Cell, csv_text, filled, markdown
@@ -213,7 +213,7 @@ def outputs(runs: Sequence[Run], cases: Sequence[Case]) -> dict[Path, str]:
         press.PAGE: filled(
             press.PAGE.read_text(), {"press": press.table(), "targets": press.targets(), **press_parts.tables()}
         ),
-        contact_parts.PAGE: filled(contact_parts.PAGE.read_text(), contact_parts.tables()),
+        contact_parts.PAGE: filled(contact_parts.PAGE.read_text(), {**contact_parts.tables(), **rigid.tables()}),
     }
 
 

@@ -113,8 +113,7 @@ Impulses push(world::World& world, const Scheme& scheme) {
     const Vec3<double> now = momentum(world), on_tissue = -world.readings()[0].force_n;
     // BDF2: M (3 v' − 4 v + v₋₁) / (2 dt) = F. With kept forces it makes steps of implicit Euler in contact.
     const bool by_euler = starts_anew || (keeps_force && !(felt.isZero(0) && on_tissue.isZero(0)));
-    const Vec3<double> received =
-        is_bdf2 && !by_euler ? Vec3<double>((3 * now - 4 * before + last) / 2) : now - before;
+    const Vec3<double> received = is_bdf2 && !by_euler ? Vec3<double>((3 * now - 4 * before + last) / 2) : now - before;
     const Vec3<double> missing = received - kDtS * on_tissue;
     if (world.guard_event() == nullptr && world.last().newton_residual <= world.model().newton_tolerance) {
       out.missing += missing;

@@ -18,14 +18,19 @@ RATE_HZ = 60
 def cube_surface() -> tm.TriangleSurface:
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * EDGE_M / 2
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return tm.TriangleSurface.from_arrays(corners, np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))]))
+    return tm.TriangleSurface.from_arrays(
+        corners, np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])
+    )
 
 
-def press(server: tm.Server, kind: str, cell_m: float, **contact: Any) -> tuple[float, float, float]:
+def press(server: tm.Server, kind: str, cell_m: float, **contact: float | str) -> tuple[float, float, float]:
     """Returns the force [N], its range while the cube holds still as a share of it, and the depth of the deepest node
     in the cube [m]."""
     mesh = tm.grid(
-        [round(size / cell_m) for size in SIZE_M], list(SIZE_M), origin_m=tuple(-SIZE_M * [0.5, 0.5, 1]), shape="hexahedron"
+        [round(size / cell_m) for size in SIZE_M],
+        list(SIZE_M),
+        origin_m=tuple(-SIZE_M * [0.5, 0.5, 1]),
+        shape="hexahedron",
     )
     scene = tm.Scene("cube")
     numbers: dict[str, Any] = {"young_modulus_pa": 1e4, "poisson_ratio": 0.45, "density_kg_per_m3": 1000.0}
@@ -37,7 +42,8 @@ def press(server: tm.Server, kind: str, cell_m: float, **contact: Any) -> tuple[
     shape: dict[str, Any] = {"surface": cube_surface()}
     if kind == "box":
         shape = {"size_x_m": EDGE_M, "size_y_m": EDGE_M, "size_z_m": EDGE_M}
-    scene.add_tool("cube", kind, position_m=tuple(START_M), max_speed_m_per_s=1, **shape, **contact)
+    numbers = {"position_m": tuple(START_M), "max_speed_m_per_s": 1.0, **shape, **contact}
+    scene.add_tool("cube", kind, **numbers)
     scene.set_stepping(dt_s=1 / RATE_HZ)
     way_m = np.array([0, 0, DEPTH_M + 1e-4])
     steps = round(way_m[2] / SPEED_M_PER_S * RATE_HZ)

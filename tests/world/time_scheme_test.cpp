@@ -159,9 +159,9 @@ TEST_P(TimeScheme, InContactStepsAreThoseOfImplicitEuler) {
   };
   constexpr auto kPenalty = v1::CONTACT_METHOD_PENALTY, kKept = v1::CONTACT_METHOD_AUGMENTED_LAGRANGIAN;
   for (const std::uint32_t newton_iterations : {1u, 10u}) {
-    for (const auto& [integrator, method, by_euler] : {Kind{v1::Solver::INTEGRATOR_IMPLICIT_MIDPOINT, kPenalty, true},
-                                                       Kind{v1::Solver::INTEGRATOR_BDF2, kKept, true},
-                                                       Kind{v1::Solver::INTEGRATOR_BDF2, kPenalty, false}}) {
+    for (const auto& [integrator, method, by_euler] :
+         {Kind{v1::Solver::INTEGRATOR_IMPLICIT_MIDPOINT, kPenalty, true},
+          Kind{v1::Solver::INTEGRATOR_BDF2, kKept, true}, Kind{v1::Solver::INTEGRATOR_BDF2, kPenalty, false}}) {
       SCOPED_TRACE(v1::Solver::Integrator_Name(integrator) + ", " + v1::ContactMethod_Name(method));
       v1::Scene scene = tests::block_with_probe(true, 4);
       scene.clear_gravity_m_per_s2();
