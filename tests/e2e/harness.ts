@@ -146,11 +146,23 @@ export class Browser {
   }
 }
 
-/** In the page: makes a machine of a given speed of this one. What it draws takes as long as before. */
+/**
+ * In the page: makes a machine of a given speed of this one. What it draws takes as long as before. All callbacks of a
+ * turn get one time, as from the browser: else whatever else asks for turns, such as a wait of the test, would make the
+ * machine slower.
+ */
 function setTurns(turnMs: number): void {
   const request = window.requestAnimationFrame.bind(window);
+  let turn: number | null = null;
   let nowMs = 0;
-  window.requestAnimationFrame = (callback) => request(() => callback((nowMs += turnMs)));
+  window.requestAnimationFrame = (callback) =>
+    request((browserMs) => {
+      if (browserMs !== turn) {
+        turn = browserMs;
+        nowMs += turnMs;
+      }
+      callback(nowMs);
+    });
 }
 
 /** The interface of main.ts for scripts. */
