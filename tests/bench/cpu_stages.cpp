@@ -9,6 +9,7 @@
 #include "step/plan.h"
 #include "support/scenes.h"
 #include "support/staged_scene.h"
+#include "tensormass/v1/control.pb.h"
 
 /// tensormass-bench-stages: time of each stage of a step on the CPU, and the rate at which it moves the plan's bytes.
 /// The rate is also given relative to STREAM's triad in the same run.
