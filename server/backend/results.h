@@ -138,7 +138,7 @@ class LoadFactors {
   std::vector<double> factors_;  // [schedule] of the last step
 };
 
-/// Number of reals in ContactView::slips and in TiesView::slips; 0 without friction.
+/// Number of reals in ContactView::slips and in TiesView::slips; 0 if contacts remember nothing.
 template <class Real>
 std::size_t slip_reals(const view::ContactView<Real>& contact) {
   return contact.slips == nullptr ? 0 : 4 * std::size_t{contact.contact_points} * contact.triangle_count;

@@ -30,6 +30,9 @@
 /// 5. p is the closest point of the triangles that face the node. At the rim of two blocks that rest on each other, the
 ///    closest triangle may be a side, which would push the node the wrong way.
 /// 6. Friction is that of tools (friction.h): a spring across n that yields. Its stretch belongs to the node.
+/// 7. A node that comes to its own body's surface from within does not touch it: a tool has pressed the tissue so thin
+///    that the node is closer to the other side than the reach, or through it. Contact would push the node out there
+///    and hold it. A node touches only what it was seen outside of before (NodeSide).
 namespace tensormass::contact {
 
 /// Cosine of the angle up to which two triangles count as parts of one smooth surface: 45°.
@@ -37,6 +40,15 @@ inline constexpr double kSmoothCosine = 0.7;
 
 /// Width of the rim in is_inside, as a part of the reach.
 inline constexpr double kRimInReaches = 0.1;
+
+/// Where a node was in the last step, as to its own body's surface: the 4th number of TiesView::slips while the node
+/// does not push, and Tie::across of a tie without stiffness. A node that was outside, or pushed, has 0 or a force.
+struct NodeSide {
+  /// Nothing faced it within the reach. It is in the open, or deep in the body.
+  static constexpr int kUnseen = -1;
+  /// It came to the surface from within, and has not been out of reach since.
+  static constexpr int kFromWithin = -2;
+};
 
 template <class Real>
 TM_HOST_DEVICE Real distance_squared(const view::AxisBox<Real>& box, const Vec3<Real>& point) {
@@ -233,9 +245,20 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& sta
   const NearestPoints<Real> nearest =
       nearest_points(state, contact, ties, vertex, ties.side_groups + std::size_t{3} * side, reach);
   const SurfacePoint<Real>& point = nearest.facing;
-  if (point.triangle == view::kNoTriangle) return tie;
+  const bool own = ties.side_groups[std::size_t{3} * side + 2] != 0;
+  if (point.triangle == view::kNoTriangle) {
+    if (own) tie.across = Real(NodeSide::kUnseen);
+    return tie;
+  }
   const Vec3<Real> face = smooth_normal(state, contact, point.triangle, point.weights);
   const bool inside = is_inside(state, contact, nearest, face, reach);
+  if (own) {
+    const Real before = ties.slips[std::size_t{4} * candidate + 3];
+    if (before == Real(NodeSide::kFromWithin) || (before == Real(NodeSide::kUnseen) && inside)) {
+      tie.across = Real(NodeSide::kFromWithin);
+      return tie;
+    }
+  }
   const Real distance = sqrt(point.way.dot(point.way));
   const Real depth = numbers[view::kSideDistance] - (inside ? face.dot(point.way) : distance);
   if (!(depth > 0)) return tie;
@@ -275,7 +298,7 @@ TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, con
     next = stretch * yield_factor(tie.stiffness, stretch, friction * pressure);
   }
   for (int c = 0; c < 3; ++c) slip[c] = next[c];
-  slip[3] = maximum(pressure, Real(0));
+  slip[3] = tie.stiffness > 0 ? maximum(pressure, Real(0)) : tie.across;
 }
 
 }  // namespace tensormass::contact

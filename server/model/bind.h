@@ -200,7 +200,7 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.ties.candidate_modulus = arena.template constant<Real>("moduli of contact candidates", ties.candidate_modulus);
   s.ties.side_groups = arena.template constant<uint32_t>("boxes of bodies", ties.side_groups);
   s.ties.side_numbers = arena.template constant<Real>("contacts of bodies", ties.side_numbers);
-  const std::size_t tie_slips = 4 * only_if(ties.has_friction(), ties.candidate_count());
+  const std::size_t tie_slips = 4 * only_if(ties.contacts_remember(), ties.candidate_count());
   s.ties.slips = arena.template zeros<Real>("friction slips of bodies", tie_slips);
   s.ties.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips of bodies", tie_slips);
   s.ties.patch_springs = arena.template constant<uint32_t>("springs of patches", ties.patch_springs);

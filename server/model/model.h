@@ -166,9 +166,12 @@ struct Ties {
   std::uint32_t spring_count() const { return static_cast<std::uint32_t>(spring_rows.size() / 2); }
   std::uint32_t count() const { return candidate_count() + spring_count(); }
   std::uint32_t leaf_count() const { return static_cast<std::uint32_t>(leaf_triangles.size() / view::kLeafTriangles); }
-  bool has_friction() const {
-    for (std::size_t i = view::kSideFriction; i < side_numbers.size(); i += view::kSideNumbers) {
-      if (side_numbers[i] > 0) return true;
+  /// Returns whether contacts remember something from step to step (view::TiesView::slips): friction, or on which side
+  /// of its own body's surface a node is.
+  bool contacts_remember() const {
+    for (std::size_t side = 0; side < side_groups.size() / 3; ++side) {
+      if (side_groups[3 * side + 2] != 0 || side_numbers[side * view::kSideNumbers + view::kSideFriction] > 0)
+        return true;
     }
     return false;
   }

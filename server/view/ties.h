@@ -24,7 +24,7 @@ struct Tie {
   Real normal[3];         // n
   Real force[3];          // [N]
   Real stiffness;         // [N/m]; zero: the tie does nothing in this step
-  Real across;            // [N/m]
+  Real across;            // [N/m]; of a contact without stiffness: contact::NodeSide
 };
 
 /// A box along the axes. Empty: least > most.
@@ -74,8 +74,8 @@ struct TiesView {
   const Real* candidate_modulus;          // [candidate_count] E of the elements behind the node's part [Pa], their mean
   const std::uint32_t* side_groups;       // [side, 3] first group of boxes, last + 1, 1 if the nodes are of that body
   const Real* side_numbers;               // [side, kSideNumbers]
-  Real* slips;  // [candidate_count, 4] stretch of the spring of friction [m]; 4th: normal force [N]. Both at the end of
-                // the last step; nullptr: no side has friction
+  Real* slips;  // [candidate_count, 4] stretch of the spring of friction [m]; 4th: normal force [N], or where the node
+                // was (contact::NodeSide). At the end of the last step; nullptr: nothing is remembered
   Real* checkpoint_slips;
 
   // Springs, grouped by the patch of their first row.

@@ -265,6 +265,39 @@ TEST_P(Bodies, FoldedSheetRests) {
   EXPECT_GT(mean_of_layer(*world, 0, upper)[1], kThick / 2);
 }
 
+/// A tool has pressed a node of the surface so deep that it is near the other side, or beyond. That side does not hold
+/// it: the node comes back as it does in a body that does not touch itself.
+TEST_P(Bodies, LetGoOfANodeThatCameFromWithin) {
+  for (const bool double_precision : {true, false}) {
+    for (const double left_m : {0.02, 0.002, -0.005}) {  // of the body below the node
+      SCOPED_TRACE(left_m);
+      v1::Scene scene = empty_scene(0.01);
+      v1::Body& cube = add_cube(scene, "cube", Vec3<double>::Zero(), 4);
+      cube.set_rayleigh_mass_per_s(5);
+      cube.set_rayleigh_stiffness_s(0.01);
+      set_layer(*cube.add_fixed(), 0);
+      scene.mutable_solver()->set_precision(double_precision ? v1::Solver::PRECISION_DOUBLE
+                                                             : v1::Solver::PRECISION_FLOAT);
+      scene.mutable_solver()->set_cg_tolerance(1e-5);
+      let_touch(scene, "cube", "", 0.001);
+      const auto world = start(scene);
+      ASSERT_TRUE(world->step(false));
+      const model::Model& m = world->model();
+      world::World::Saved saved = world->save();
+      std::size_t pressed = 0;
+      for (std::size_t row = 0; row < m.layout.row_count; ++row) {
+        const Vec3<double> rest(m.rest[4 * row], m.rest[4 * row + 1], m.rest[4 * row + 2]);
+        if ((rest - Vec3<double>(0.05, kSizeM, 0.05)).norm() < 1e-6) pressed = row;
+      }
+      saved.rows.displacement[4 * pressed + 1] = left_m - kSizeM;
+      world->restore(saved);
+      for (int i = 0; i < 300; ++i) ASSERT_TRUE(world->step(false)) << i;
+      EXPECT_NEAR(world->state().displacement[4 * pressed + 1], 0, 1e-4);
+      EXPECT_EQ(world->last().touching_nodes, 0u);
+    }
+  }
+}
+
 /// A block hangs from another by a ligament: the ligament stretches by weight / stiffness, and tears at its force.
 TEST_P(Bodies, HangFromAttachmentsThatTear) {
   constexpr double kStiffness = 2000, kWeightN = 9.81;  // a kilogram
