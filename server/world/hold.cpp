@@ -22,6 +22,9 @@ constexpr double kSoftest = 1e-4;
 constexpr double kCautious = 0.125;
 /// Largest speed at which a tool moves back, in its largest speeds.
 constexpr double kFastestBack = 4;
+/// A tool that backs off step after step stays this near to the hand, in its own sizes: it then comes back soon, and
+/// does not strike the tissue at its largest speed.
+constexpr double kFarthestBack = 2;
 
 Vec3<double> load_of(const Hold::Load& load, std::size_t freedom) {
   if (freedom == 0) return load.force_n;
@@ -175,6 +178,9 @@ Pose Hold::back_off(double distance, const Load& tried) {
     end.position_m += out * (distance_m / size);
     break;
   }
+  const Vec3<double> back = end.position_m - wanted_.position_m;
+  const double farthest_m = std::max(kFarthestBack * arm_m(), (start_.pose.position_m - wanted_.position_m).norm());
+  if (back.norm() > farthest_m) end.position_m = wanted_.position_m + farthest_m * back.normalized();
   for (std::size_t j = 0; j < tool_->joints.size(); ++j) {
     const double load = start_.load.joints[j] != 0 ? start_.load.joints[j] : tried.joints[j];
     if (load != 0 && std::isfinite(load)) end.joint_values[j] += std::copysign(distance_m / arm_m(), load);

@@ -67,6 +67,7 @@ void ToolMotion::come_out(const Pose& pose, double dt_s) {
   jump(pose);
   current_.leaves = false;
   current_.fade = kLetGo;
+  comes_back_ = true;
   hold_.restore({});
   hold_.wait(kFadeS, dt_s);
 }
@@ -80,6 +81,7 @@ void ToolMotion::move(double dt_s, const backend::ToolForce& load) {
   if (retired() && valid) jump(target_);
   const double rises_s = valid && !current_.leaves ? dt_s : -dt_s;
   current_.fade = planned_fade_ = std::clamp(current_.fade + rises_s / kFadeS, 0.0, 1.0);
+  comes_back_ = comes_back_ && !present();
 
   const double reach_m = tool_->max_speed_m_per_s * dt_s;
   Pose hand = current_.pose;

@@ -61,7 +61,7 @@ struct ToolReading {
   bool touching = false;    ///< it touched tissue in this step
   bool retired = false;     ///< it touches nothing, because its newest pose has expired
   bool gives_way = false;   ///< it is not where the hand has moved it (hold.h)
-  bool recovering = false;  ///< see World::recovering
+  bool recovering = false;  ///< see World::recovering; or the tool comes back into contact after it
 };
 
 /// The motion of one tool, step by step.
@@ -84,6 +84,7 @@ class ToolMotion {
     felt_ = {};
     felt_.position_m = tool_->initial_pose.position_m;
     hold_.restore({});
+    comes_back_ = false;
     set_target(tool_->initial_pose, kUntilTheNext);
   }
   void set_target(const Pose& target, double valid_for_s) {
@@ -108,6 +109,7 @@ class ToolMotion {
   /// is.
   void let_go() {
     current_.fade = std::min(current_.fade, kLetGo);
+    comes_back_ = true;
     hold_.wait(kFadeS, dt_s_);
   }
   /// Begins to leave tissue that encloses the tool: it waits while its presence falls to zero within kFadeS.
@@ -117,6 +119,8 @@ class ToolMotion {
   void come_out(const Pose& pose, double dt_s);
   /// Whether all of its contact stiffness is there.
   bool present() const { return current_.fade == 1; }
+  /// Whether a recovery took the tool out of contact, and its contact stiffness still rises.
+  bool comes_back() const { return comes_back_; }
   /// Whether the tool is not where the hand has moved it.
   bool gives_way() const { return hold_.gives_way(); }
   /// Ends a step that was made.
@@ -160,6 +164,7 @@ class ToolMotion {
                 saved.fade, saved.target_age_s, saved.leaves};
     felt_ = saved.felt;
     hold_.restore(saved.hold);
+    comes_back_ = false;
   }
 
   const Pose& pose() const { return current_.pose; }
@@ -216,6 +221,7 @@ class ToolMotion {
   Pose from_, to_;           // poses of the shape at the start and the end of the step
   double dt_s_ = 0;          // length of the step
   double planned_fade_ = 1;  // at the end of the step, unless the tool lets go
+  bool comes_back_ = false;
   Hold hold_;
 };
 

@@ -99,7 +99,7 @@ void World::read_tools() {
     reading.pose = tools_[i].pose();
     reading.hand_m = reading.pose.position_m;
     reading.gives_way = tools_[i].gives_way();
-    reading.recovering = recovering_;
+    reading.recovering = recovering_ || tools_[i].comes_back();
     reading.retired = tools_[i].retired() && !tools_[i].leaves();
     reading.touching = touches({&forces_[i], 1});
     reading.force_n = forces_[i].force_n;
