@@ -286,10 +286,7 @@ grpc::Status ControlService::AdjustScene(grpc::ServerContext*, const v1::AdjustS
                                          v1::AdjustSceneResponse* response) {
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
-  return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
-    return runner->adjust(request->changes());
-  }),
-                response);
+  return answer(registry_.adjust(request->scene(), request->changes()), response);
 }
 
 }  // namespace tensormass::control

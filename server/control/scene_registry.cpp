@@ -50,8 +50,8 @@ class SceneRegistry::Reservation {
 };
 
 SceneRegistry::SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal,
-                             const AdmissionLimits& admission)
-    : options_(options), output_signal_(std::move(output_signal)), admission_(admission) {}
+                             const AdmissionLimits& admission, double (*used_bytes)())
+    : options_(options), output_signal_(std::move(output_signal)), admission_(admission, used_bytes) {}
 
 Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene, const model::Progress& progress) {
   TM_ASSIGN_OR_RETURN(reservation, Reservation::take(*this, scene.name()));
@@ -63,6 +63,14 @@ Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene, const model::Progr
   TM_RETURN_IF_ERROR(reservation.fill(runner));
   changed();
   return runner;
+}
+
+Result<v1::AdjustSceneResponse> SceneRegistry::adjust(std::string_view name, const v1::SceneAdjustments& changes) {
+  TM_ASSIGN_OR_RETURN(runner, find(name));
+  if (runner->source() == nullptr) return runner->adjust(changes);  // refused there
+  const auto promise = admission_.admit(*runner->source());
+  if (!promise) return tl::make_unexpected(promise.error());
+  return runner->adjust(changes);
 }
 
 Result<void> SceneRegistry::unload(std::string_view name) {

@@ -43,9 +43,9 @@ class SceneRegistry {
  public:
   /// `output_signal` is called after every load and unload, and by the scenes' loops when a mailbox has something new.
   /// It runs on their threads and must not block.
-  /// admission: bounds of what loads may need.
+  /// admission: bounds of what loads may need; used_bytes: as in Admission.
   SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal,
-                const AdmissionLimits& admission = {});
+                const AdmissionLimits& admission = {}, double (*used_bytes)() = &Admission::resident_bytes);
 
   /// Compiles the scene and starts its loop; returns when it runs, after seconds for a large mesh. Fails with
   /// kAlreadyExists for a name in use, kResourceExhausted beyond limits::kMaxScenes or the admission's limits,
@@ -58,7 +58,10 @@ class SceneRegistry {
     if (!promise) return tl::make_unexpected(promise.error());
     return world::Runner::inspect(scene, options_, progress);
   }
-  /// Removes the scene and cancels its StepScene. Returns when its loop has ended, unless another owner still holds it.
+  /// Changes values of a scene that steps. The scene is compiled again beside itself, so it needs as much as a load and
+  /// is admitted like one. Fails with kNotFound, kResourceExhausted, and the errors of world::Runner::adjust.
+  Result<v1::AdjustSceneResponse> adjust(std::string_view name, const v1::SceneAdjustments& changes);
+  /// Removes the scene and ends its step. Returns when its loop has ended, unless another owner still holds it.
   /// Fails with kNotFound, or with kFailedPrecondition while the scene is being loaded.
   Result<void> unload(std::string_view name);
   /// Fails with kNotFound.

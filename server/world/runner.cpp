@@ -212,6 +212,8 @@ Result<v1::SceneStatus> Runner::restore(std::string_view snapshot) {
   return loop->call([&] { return loop->do_restore(state); });
 }
 
+const v1::Scene* Runner::source() const { return impl_->source ? &impl_->source->scene : nullptr; }
+
 Result<v1::AdjustSceneResponse> Runner::adjust(const v1::SceneAdjustments& changes) {
   if (!impl_->source) return fail(ErrorCode::kFailedPrecondition, "the scene was not loaded from a message");
   const std::lock_guard lock(impl_->adjusting);

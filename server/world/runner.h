@@ -70,7 +70,7 @@ class Runner {
   Result<v1::SceneStatus> step(std::uint32_t count);
   Result<v1::SceneStatus> reset();
   v1::SceneStatus status() const;
-  /// Ends a `step` in progress after its current step, with kUnavailable, because the scene will be unloaded.
+  /// Ends the step at hand and a `step` in progress, with kUnavailable, because the scene will be unloaded.
   void cancel();
   /// Surface positions after the last step.
   Result<v1::Frame> frame();
@@ -86,6 +86,8 @@ class Runner {
   /// The whole state between two steps (snapshot.h), and going on from it.
   Result<v1::SnapshotSceneResponse> snapshot();
   Result<v1::SceneStatus> restore(std::string_view snapshot);
+  /// The message that the scene was loaded from; nullptr if it was compiled already.
+  const v1::Scene* source() const;
   /// Changes values of the scene and goes on from its state; see AdjustScene.
   Result<v1::AdjustSceneResponse> adjust(const v1::SceneAdjustments& changes);
 

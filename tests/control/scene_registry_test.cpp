@@ -11,6 +11,7 @@
 #include <gtest/gtest.h>
 
 #include "core/limits.h"
+#include "support/refused.h"
 #include "support/scenes.h"
 
 namespace tensormass::control {
@@ -46,6 +47,23 @@ TEST_F(SceneRegistryTest, FindsLoadedScenesAndNotUnloadedOnes) {
   EXPECT_EQ(registry.find("a").error().code, ErrorCode::kNotFound);
   EXPECT_EQ(registry.unload("a").error().code, ErrorCode::kNotFound);
   EXPECT_TRUE(registry.load(small_scene("a")));
+}
+
+/// Bytes that the process seems to hold.
+std::atomic<double> used_bytes{0};
+
+TEST(SceneRegistryAdmission, ReadsWhetherAnAdjustedSceneFitsBesideTheRunningOne) {
+  SceneRegistry registry(
+      kCpu, [] {}, {.all_bytes = 1e12}, [] { return used_bytes.load(); });
+  ASSERT_TRUE(registry.load(small_scene("a")));
+  v1::SceneAdjustments changes;
+  changes.mutable_gravity_m_per_s2()->set_y(-1);
+  EXPECT_TRUE(registry.adjust("a", changes));
+  used_bytes = 1e12;
+  changes.mutable_gravity_m_per_s2()->set_y(-2);
+  EXPECT_REFUSED(registry.adjust("a", changes), ErrorCode::kResourceExhausted, "--max-memory-mib");
+  EXPECT_REFUSED(registry.adjust("b", changes), ErrorCode::kNotFound, "no scene 'b'");
+  EXPECT_TRUE(registry.find("a"));
 }
 
 TEST_F(SceneRegistryTest, RefusesANameThatIsTaken) {
