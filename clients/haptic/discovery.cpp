@@ -20,6 +20,8 @@ constexpr auto kStopPoll = std::chrono::milliseconds(20);
 constexpr double kExtentInRadii = 20.0;
 /// Below this distance single-precision positions give no direction.
 constexpr double kNoDistanceM = 1e-6;
+/// The name in every server's certificate, under whatever address it is reached.
+constexpr const char* kDaemonName = "tensormassd";
 
 /// Returns the host of a gRPC target that ends in host:port. An IPv6 address keeps its brackets.
 std::string host_of(const std::string& target) {
@@ -41,14 +43,19 @@ using Method = std::unique_ptr<grpc::ClientAsyncResponseReader<Response>> (Stub:
 /// Calls to one server that share one deadline.
 class Caller {
  public:
-  Caller(const std::string& control, Patience patience) : control_(control), stop_(patience.stop) {
+  Caller(const std::string& control, const Patience& patience) : control_(control), stop_(patience.stop) {
     deadline_ = std::chrono::system_clock::now() + std::chrono::duration_cast<std::chrono::system_clock::duration>(
                                                        std::chrono::duration<double>(patience.timeout_s));
     grpc::ChannelArguments arguments;
     // The streams use no proxy, so the calls must not either: both have to reach the same server.
     arguments.SetInt(GRPC_ARG_ENABLE_HTTP_PROXY, 0);
     arguments.SetMaxReceiveMessageSize(static_cast<int>(limits::kMaxControlMessageBytes));
-    stub_ = v1::Control::NewStub(grpc::CreateCustomChannel(control, grpc::InsecureChannelCredentials(), arguments));
+    std::shared_ptr<grpc::ChannelCredentials> credentials = grpc::InsecureChannelCredentials();
+    if (const ClientKeys& keys = patience.keys; keys) {
+      credentials = grpc::SslCredentials({keys.authority, keys.private_key, keys.certificate});
+      arguments.SetSslTargetNameOverride(kDaemonName);
+    }
+    stub_ = v1::Control::NewStub(grpc::CreateCustomChannel(control, credentials, arguments));
   }
 
   /// `method`: the stub's asynchronous variant. A blocking call could not be ended by `stop`.
@@ -154,6 +161,7 @@ Result<DiscoveredTool> discover_tool(const std::string& control, const std::stri
   found.address.zeromq_pose_endpoint = reached_endpoint(version->zeromq_pose_endpoint(), control);
   found.address.zeromq_publish_endpoint = reached_endpoint(version->zeromq_publish_endpoint(), control);
   found.address.zenoh_locator = reached_endpoint(version->zenoh_locator(), control);
+  found.address.keys = patience.keys;
   found.server = std::move(*version);
   found.tool_position_m = to_eigen(feedback->feedback().position_m());
   found.radius_m = shape->radius_m();

@@ -15,6 +15,7 @@
 #include <Eigen/Core>
 
 #include "core/result.h"
+#include "haptic/client_keys.h"
 #include "haptic/link.h"
 #include "tensormass/v1/control.pb.h"
 
@@ -35,10 +36,13 @@ struct DiscoveredTool {
   std::uint64_t poses_rejected = 0;
 };
 
-/// How long to wait for a server: `timeout_s`, or less if `stop` is set. `stop` must outlive the call.
+/// How to call a server, and how long to wait for it: `timeout_s`, or less if `stop` is set. `stop` must outlive the
+/// call.
 struct Patience {
   double timeout_s;
   const std::atomic<bool>& stop;
+  /// Keys of this client; empty if the server asks for none.
+  ClientKeys keys = {};
 };
 
 /// Asks the server at `control` (host:port) for a tool of a scene. If the scene lacks the tool, the error lists the

@@ -9,6 +9,7 @@
 #include <optional>
 #include <string>
 
+#include "haptic/client_keys.h"
 #include "haptic/feedback.h"
 
 namespace tensormass::haptic {
@@ -35,6 +36,7 @@ struct LinkAddress {
   std::string zeromq_publish_endpoint;
   /// Empty if the server has zenoh off.
   std::string zenoh_locator;
+  ClientKeys keys = {};
 };
 
 }  // namespace tensormass::haptic

@@ -52,6 +52,7 @@ constexpr double kStatusTimeoutS = 2.0;
 
 struct Options {
   std::string server = "127.0.0.1:50051";
+  std::string keys_path;
   std::string scene = "demo";
   std::string tool = "probe";
   std::string transport = "zeromq";
@@ -199,6 +200,7 @@ void add_hardware_options(CLI::App& app, Options& o) {
 void add_options(CLI::App& app, Options& o) {
   const Within anywhere(-limits::kMaxLength, limits::kMaxLength), positive(1e-6, 1e6);
   app.add_option("--server", o.server, "The server's control endpoint, host:port")->capture_default_str();
+  app.add_option("--keys", o.keys_path, "This client's keys (`tensormass keys add`), if the server has keys");
   app.add_option("--scene", o.scene, "Name of the loaded scene")->capture_default_str();
   app.add_option("--tool", o.tool, "Name of the tool in it")->capture_default_str();
   app.add_option("--transport", o.transport, "Transport of poses and feedback")
@@ -370,7 +372,8 @@ Result<std::unique_ptr<Device>> make_device(const Options& options, const Discov
 std::string ask_why_unanswered(const Options& options, const DiscoveredTool& tool) {
   // Not the run's own flag: the question must be asked after a signal too.
   const std::atomic<bool> never = false;
-  const Result<v1::SceneStatus> status = fetch_status(options.server, options.scene, {kStatusTimeoutS, never});
+  const Result<v1::SceneStatus> status =
+      fetch_status(options.server, options.scene, {kStatusTimeoutS, never, tool.address.keys});
   return status ? why_unanswered(*status, tool.poses_rejected) : status.error().message;
 }
 
@@ -379,7 +382,12 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   if (const auto opened = report_file.open(options.json_path); !opened) {
     return invalid("--json: " + opened.error().message);
   }
-  const Patience patience{options.connect_timeout_s, stop};
+  ClientKeys keys;
+  if (!options.keys_path.empty()) {
+    TM_ASSIGN_OR_RETURN(read, read_client_keys(options.keys_path));
+    keys = std::move(read);
+  }
+  const Patience patience{options.connect_timeout_s, stop, keys};
   const Result<DiscoveredTool> tool = discover_tool(options.server, options.scene, options.tool, patience);
   if (!tool) return tl::make_unexpected(tool.error());
   MonotonicClock clock;

@@ -48,6 +48,9 @@ Result<std::unique_ptr<Link>> connect_zenoh(const LinkAddress& address) {
   }
   zenoh::SessionOptions options;
   options.connect = address.zenoh_locator;
+  options.authority = address.keys.authority;
+  options.certificate = address.keys.certificate;
+  options.private_key = address.keys.private_key;
   options.shared_memory = false;  // a pose is 100 bytes
   auto session = zenoh::Session::open(options);
   if (!session) return tl::make_unexpected(std::move(session.error()));

@@ -22,6 +22,13 @@ class ZeroMqLink final : public Link {
  public:
   explicit ZeroMqLink(const LinkAddress& address)
       : prefix_(address.pose_key + '\0'), feedback_prefix_(address.feedback_key + '\0') {
+    if (address.keys) {
+      for (zmq::socket_t* socket : {&push_, &sub_}) {
+        socket->set(zmq::sockopt::curve_serverkey, address.keys.curve_server);
+        socket->set(zmq::sockopt::curve_publickey, address.keys.curve_public);
+        socket->set(zmq::sockopt::curve_secretkey, address.keys.curve_secret);
+      }
+    }
     push_.set(zmq::sockopt::sndhwm, 1);
     push_.set(zmq::sockopt::immediate, true);
     push_.set(zmq::sockopt::linger, kLingerMs);

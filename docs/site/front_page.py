@@ -19,6 +19,7 @@ CONTENTS = {
         "docs/haptics",
         "docs/findings",
         "docs/protocol",
+        "docs/security",
     ],
     "Reference": ["docs/site/python", "docs/site/haptic"],
     "How good it is": [

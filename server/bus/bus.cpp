@@ -29,7 +29,7 @@ void forward_zenoh_log(LogHandler handler) {
 }  // namespace
 
 Bus::Bus(const BusOptions& options)
-    : input_(options.server, options.on_pose, options.on_malformed),
+    : input_(options.server, options.on_pose, options.on_malformed, options.keys),
       failed_handshakes_before_(tensormass_zenoh_failed_handshakes()) {}
 
 Bus::~Bus() = default;
@@ -44,8 +44,8 @@ Result<std::unique_ptr<Bus>> Bus::open(const BusOptions& options) {
   }
   std::unique_ptr<Bus> bus(new Bus(options));
   if (!options.zeromq_publish_endpoint.empty()) {
-    auto zeromq = ZeroMqTransport::open({options.server, options.zeromq_publish_endpoint, options.zeromq_pose_endpoint},
-                                        bus->input_);
+    auto zeromq = ZeroMqTransport::open(
+        {options.server, options.zeromq_publish_endpoint, options.zeromq_pose_endpoint, options.keys}, bus->input_);
     if (!zeromq) return tl::make_unexpected(zeromq.error());
     bus->endpoints_.zeromq_publish = (*zeromq)->publish_endpoint();
     bus->endpoints_.zeromq_pose = (*zeromq)->pose_endpoint();
@@ -53,7 +53,8 @@ Result<std::unique_ptr<Bus>> Bus::open(const BusOptions& options) {
   }
   if (!options.zenoh_listen.empty()) {
     forward_zenoh_log(options.on_log);
-    auto zenoh = ZenohTransport::open({options.server, options.zenoh_listen, options.zenoh_sessions}, bus->input_);
+    auto zenoh =
+        ZenohTransport::open({options.server, options.zenoh_listen, options.zenoh_sessions, options.keys}, bus->input_);
     if (!zenoh) return tl::make_unexpected(zenoh.error());
     bus->endpoints_.zenoh_locator = (*zenoh)->locator();
     bus->transports_.push_back(std::move(*zenoh));
@@ -69,6 +70,10 @@ void Bus::publish(std::string_view key, const google::protobuf::MessageLite& con
 
 void Bus::forget(std::string_view key) {
   for (const auto& transport : transports_) transport->forget(key);
+}
+
+void Bus::keys_changed() {
+  for (const auto& transport : transports_) transport->keys_changed();
 }
 
 std::uint64_t Bus::malformed_count() const {

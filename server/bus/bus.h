@@ -9,6 +9,7 @@
 
 #include <google/protobuf/message_lite.h>
 
+#include "access/key_ring.h"
 #include "bus/pose_input.h"
 #include "bus/transport.h"
 #include "core/bus_limits.h"
@@ -25,6 +26,8 @@ struct BusOptions {
   /// zenoh's address, as in ZenohOptions. Empty turns zenoh off.
   std::string zenoh_listen;
   std::uint32_t zenoh_sessions = limits::kDefaultZenohSessions;
+  /// Who may connect, subscribe and put; must outlive the bus. nullptr: everybody, in plain text.
+  const access::KeyRing* keys = nullptr;
   /// Called for each valid pose, from threads of the transports; must not block.
   PoseHandler on_pose = [](auto&&...) {};
   /// Called for each refused message, from threads of the transports; must not block.
@@ -66,6 +69,9 @@ class Bus {
   void publish(std::string_view key, const google::protobuf::MessageLite& content, PublishOptions options = {});
   /// Drops the retained message of `key` on every transport. Any thread may call it.
   void forget(std::string_view key);
+
+  /// Cuts clients whose keys do not count any more. The key ring calls it (access::KeyRing::follow).
+  void keys_changed();
 
   const Endpoints& endpoints() const { return endpoints_; }
   /// Refused messages, plus connections whose peer did not speak the transport's protocol, since this bus was opened.

@@ -90,13 +90,32 @@ inline std::optional<PoseAddress> parse_pose_key(std::string_view server, std::s
   return PoseAddress{scene, tool};
 }
 
-/// Returns true if a key from an untrusted client is that of a stream which `server` publishes, whether or not the
-/// scene is loaded.
-inline bool is_stream_key(std::string_view server, std::string_view key) {
+/// The names in a stream's key. `stream` is as in access::kStreams; `tool` is empty unless the stream is a tool's.
+/// Views point into the key that was parsed.
+struct StreamAddress {
+  std::string_view scene, stream, tool;
+};
+
+/// Parses a key from an untrusted client. Returns nullopt unless it is that of a stream which `server` publishes,
+/// whether or not the scene is loaded.
+inline std::optional<StreamAddress> parse_stream_key(std::string_view server, std::string_view key) {
   detail::KeyReader reader(key);
-  if (!reader.take_root(server) || !is_valid_name(reader.take_name())) return false;
-  if (reader.take("/tool/")) return is_valid_name(reader.take_name()) && reader.rest() == "/feedback";
-  return reader.rest() == "/topology" || reader.rest() == "/frame" || reader.rest() == "/status";
+  if (!reader.take_root(server)) return std::nullopt;
+  const std::string_view scene = reader.take_name();
+  if (!is_valid_name(scene)) return std::nullopt;
+  if (reader.take("/tool/")) {
+    const std::string_view tool = reader.take_name();
+    if (!is_valid_name(tool) || reader.rest() != "/feedback") return std::nullopt;
+    return StreamAddress{scene, "tool/*/feedback", tool};
+  }
+  for (const std::string_view stream : {"topology", "frame", "status"}) {
+    if (reader.rest().starts_with('/') && reader.rest().substr(1) == stream) return StreamAddress{scene, stream, {}};
+  }
+  return std::nullopt;
+}
+
+inline bool is_stream_key(std::string_view server, std::string_view key) {
+  return parse_stream_key(server, key).has_value();
 }
 
 }  // namespace tensormass::bus

@@ -6,6 +6,7 @@
 #include <string>
 #include <string_view>
 
+#include "access/key_ring.h"
 #include "tensormass/v1/stream.pb.h"
 
 namespace tensormass::bus {
@@ -25,22 +26,28 @@ using MalformedHandler = std::function<void(std::string_view scene, std::string_
 /// All methods may be called from any thread.
 class PoseInput {
  public:
-  /// `server`: the <server> that keys must name.
-  PoseInput(std::string server, PoseHandler on_pose, MalformedHandler on_malformed);
+  /// `server`: the <server> that keys must name. keys: say which tool a client may move (access/rules.h); nullptr:
+  /// everybody may move every tool.
+  PoseInput(std::string server, PoseHandler on_pose, MalformedHandler on_malformed,
+            const access::KeyRing* keys = nullptr);
 
   /// Parses one message whose transport carries the key separately (zenoh).
   void receive(std::string_view key, std::string_view payload);
-  /// Parses one message of the form key, zero byte, payload (ZeroMQ).
-  void receive_framed(std::string_view bytes);
+  /// Parses one message of the form key, zero byte, payload (ZeroMQ). sender: id of the client that sent it, if keys
+  /// say who that is. zenoh asks the same rules before a message comes here.
+  void receive_framed(std::string_view bytes, std::string_view sender = {});
   /// Counts and reports a message that the transport itself could not accept.
   void refuse(std::string_view scene, std::string_view reason);
   /// Messages refused so far.
   std::uint64_t malformed_count() const { return malformed_.load(std::memory_order_relaxed); }
 
  private:
+  bool may_move(std::string_view sender, std::string_view key);
+
   std::string server_;
   PoseHandler on_pose_;
   MalformedHandler on_malformed_;
+  const access::KeyRing* const keys_;
   std::atomic<std::uint64_t> malformed_{0};
 };
 

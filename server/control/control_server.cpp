@@ -28,6 +28,7 @@ constexpr std::chrono::milliseconds kKeepalive{10'000}, kKeepaliveAnswer{5'000};
 
 struct ControlServer::Parts {
   ControlService service;
+  std::unique_ptr<TlsContext> tls = nullptr;
   std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> acceptor = nullptr;
   std::unique_ptr<grpc::Server> server = nullptr;
   std::unique_ptr<Relay> relay = nullptr;
@@ -37,11 +38,17 @@ struct ControlServer::Parts {
 Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& address, SceneRegistry& registry,
                                                             const v1::GetVersionResponse& identity,
                                                             std::function<std::uint64_t()> malformed_count,
-                                                            std::function<void(std::string_view why)> on_refused) {
+                                                            std::function<void(std::string_view why)> on_refused,
+                                                            const access::KeyRing* keys) {
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   TM_ASSIGN_OR_RETURN(doorkeeper, Doorkeeper::listen(address));
-  std::unique_ptr<Parts> parts(new Parts{.service = {registry, identity, std::move(malformed_count)}});
+  std::unique_ptr<Parts> parts(new Parts{.service = {registry, identity, std::move(malformed_count), keys}});
+  if (keys != nullptr) {
+    const access::DaemonKeys& own = keys->daemon();
+    TM_ASSIGN_OR_RETURN(tls, TlsContext::make(own.certificate_pem, own.private_key_pem, own.authority_pem));
+    parts->tls = std::move(tls);
+  }
   parts->doorkeeper = std::move(doorkeeper);
   grpc::ServerBuilder builder;
   parts->acceptor = builder.experimental().AddExternalConnectionAcceptor(
@@ -60,9 +67,13 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
     connection.fd = descriptor;
     acceptor->HandleNewConnection(&connection);
   };
-  parts->relay = std::make_unique<Relay>(admit, on_refused);
+  RelayGuard guard;
+  if (keys != nullptr) guard = {parts->tls.get(), [keys](std::string_view id) { return keys->find(id) != nullptr; }};
+  parts->relay = std::make_unique<Relay>(admit, on_refused, std::move(guard));
+  const char* const wrong = keys != nullptr ? "a peer that does not speak TLS" : "a peer that does not speak HTTP/2";
   parts->doorkeeper->open([relay = parts->relay.get()](int descriptor) { relay->add(descriptor); },
-                          [on_refused] { on_refused("a peer that does not speak HTTP/2"); });
+                          [on_refused, wrong] { on_refused(wrong); },
+                          keys != nullptr ? Doorkeeper::Opening::kTls : Doorkeeper::Opening::kHttp2);
   return std::unique_ptr<ControlServer>(new ControlServer(std::move(parts)));
 }
 

@@ -6,6 +6,7 @@
 #include <string>
 #include <string_view>
 
+#include "access/key_ring.h"
 #include "control/scene_registry.h"
 #include "core/result.h"
 
@@ -18,7 +19,8 @@ namespace tensormass::control {
 /// The gRPC server on its port: the control service, gRPC's health service and its reflection service.
 ///
 ///     client ──> Doorkeeper ──admit──> Relay ──> gRPC ──> a gRPC thread per running call ──> ControlService
-///                     │                  └─ beyond a limit of HTTP/2 ──> on_refused(why)
+///                     │                  ├─ beyond a limit of HTTP/2, or without a valid key ──> on_refused(why)
+///                     │                  └─ with keys: TLS ends here
 ///                     └─ not HTTP/2 ──> on_refused(why)
 ///
 /// A running call occupies one of gRPC's threads. Calls beyond limits::kMaxControlThreads fail with
@@ -29,13 +31,15 @@ class ControlServer {
   /// `identity`. Fails with kUnavailable if the address cannot be listened on.
   ///
   ///   malformed_count()   returns what GetVersion adds to `identity`; called on gRPC's threads
+  ///   keys                who may connect and call; must outlive the server. nullptr: everybody, in plain text
   ///   on_refused(why)     called for each connection that does not speak HTTP/2, or that passes a limit, on the
   ///   threads
   ///                       of doorkeeper and relay; it must not block
   static Result<std::unique_ptr<ControlServer>> start(const std::string& address, SceneRegistry& registry,
                                                       const v1::GetVersionResponse& identity,
                                                       std::function<std::uint64_t()> malformed_count,
-                                                      std::function<void(std::string_view why)> on_refused);
+                                                      std::function<void(std::string_view why)> on_refused,
+                                                      const access::KeyRing* keys = nullptr);
   /// Stops listening, waits at most kDrainTime for running calls, then cancels them.
   ~ControlServer();
 

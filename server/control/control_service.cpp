@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "control/relay.h"
 #include "control/status.h"
 #include "core/limits.h"
 #include "core/log.h"
@@ -59,11 +60,38 @@ model::Progress while_awaited(const grpc::ServerContext& context) {
 }  // namespace
 
 ControlService::ControlService(SceneRegistry& registry, v1::GetVersionResponse identity,
-                               std::function<std::uint64_t()> malformed_count)
-    : registry_(registry), identity_(std::move(identity)), malformed_count_(std::move(malformed_count)) {}
+                               std::function<std::uint64_t()> malformed_count, const access::KeyRing* keys)
+    : registry_(registry), identity_(std::move(identity)), malformed_count_(std::move(malformed_count)), keys_(keys) {}
 
-grpc::Status ControlService::GetVersion(grpc::ServerContext*, const v1::GetVersionRequest*,
+grpc::Status ControlService::permit(const grpc::ServerContext* context, std::string_view call, std::string_view scene,
+                                    std::string_view tool) {
+  if (keys_ == nullptr) return grpc::Status::OK;
+  const std::string id = Relay::id_of_peer(context->peer());
+  const access::ClientPtr client = keys_->find(id);
+  if (client == nullptr) {
+    return {grpc::StatusCode::UNAUTHENTICATED,
+            fmt::format("the key '{}' was removed or has expired; ask for another: tensormass keys add", id)};
+  }
+  const std::string full = fmt::format("{}/{}", v1::Control::service_full_name(), call);
+  if (access::may_call(client->subject(), full, scene, tool)) return grpc::Status::OK;
+  const std::string_view role = access::kRoleNames[static_cast<std::size_t>(client->role)];
+  if (const auto suppressed = refused_calls_.admit()) {
+    log::warn("refused a call", {{"who", id},
+                                 {"what", call},
+                                 {"scene", scene.substr(0, limits::kMaxNameLength)},
+                                 {"reason", fmt::format("not for role {}", role)},
+                                 {"more_before", *suppressed}});
+  }
+  const std::string own =
+      client->role == access::Role::kHand ? fmt::format(" of {}/{}", client->scene, client->tool) : "";
+  return {grpc::StatusCode::PERMISSION_DENIED,
+          fmt::format("{} is not for the role {}{} of the key '{}'; use a key with another role (docs/security.md)",
+                      call, role, own, id)};
+}
+
+grpc::Status ControlService::GetVersion(grpc::ServerContext* context, const v1::GetVersionRequest*,
                                         v1::GetVersionResponse* response) {
+  if (const grpc::Status allowed = permit(context, "GetVersion"); !allowed.ok()) return allowed;
   *response = identity_;
   response->set_malformed_messages(malformed_count_());
   return grpc::Status::OK;
@@ -71,6 +99,7 @@ grpc::Status ControlService::GetVersion(grpc::ServerContext*, const v1::GetVersi
 
 grpc::Status ControlService::LoadScene(grpc::ServerContext* context, const v1::LoadSceneRequest* request,
                                        v1::LoadSceneResponse* response) {
+  if (const grpc::Status allowed = permit(context, "LoadScene", request->scene().name()); !allowed.ok()) return allowed;
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   const auto runner = registry_.load(request->scene(), while_awaited(*context));
@@ -81,6 +110,8 @@ grpc::Status ControlService::LoadScene(grpc::ServerContext* context, const v1::L
 
 grpc::Status ControlService::LoadSceneWithProgress(grpc::ServerContext* context, const v1::LoadSceneRequest* request,
                                                    grpc::ServerWriter<v1::LoadSceneWithProgressResponse>* writer) {
+  if (const grpc::Status allowed = permit(context, "LoadSceneWithProgress", request->scene().name()); !allowed.ok())
+    return allowed;
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   const model::Progress progress([&](std::string_view part, double fraction) {
@@ -99,35 +130,41 @@ grpc::Status ControlService::LoadSceneWithProgress(grpc::ServerContext* context,
   return grpc::Status::OK;
 }
 
-grpc::Status ControlService::UnloadScene(grpc::ServerContext*, const v1::UnloadSceneRequest* request,
+grpc::Status ControlService::UnloadScene(grpc::ServerContext* context, const v1::UnloadSceneRequest* request,
                                          v1::UnloadSceneResponse*) {
+  if (const grpc::Status allowed = permit(context, "UnloadScene", request->scene()); !allowed.ok()) return allowed;
   const auto unloaded = registry_.unload(request->scene());
   return unloaded ? grpc::Status::OK : to_status(unloaded.error());
 }
 
-grpc::Status ControlService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*,
+grpc::Status ControlService::ListScenes(grpc::ServerContext* context, const v1::ListScenesRequest*,
                                         v1::ListScenesResponse* response) {
+  if (const grpc::Status allowed = permit(context, "ListScenes"); !allowed.ok()) return allowed;
   for (const RunnerPtr& runner : registry_.list()) *response->add_scenes() = runner->status();
   return grpc::Status::OK;
 }
 
 grpc::Status ControlService::InspectScene(grpc::ServerContext* context, const v1::InspectSceneRequest* request,
                                           v1::InspectSceneResponse* response) {
+  if (const grpc::Status allowed = permit(context, "InspectScene", request->scene().name()); !allowed.ok())
+    return allowed;
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   return answer(registry_.inspect(request->scene(), while_awaited(*context)), response->mutable_report());
 }
 
-grpc::Status ControlService::PauseScene(grpc::ServerContext*, const v1::PauseSceneRequest* request,
+grpc::Status ControlService::PauseScene(grpc::ServerContext* context, const v1::PauseSceneRequest* request,
                                         v1::PauseSceneResponse* response) {
+  if (const grpc::Status allowed = permit(context, "PauseScene", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(waiting_calls_);
   if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->pause(); }),
                 response->mutable_status());
 }
 
-grpc::Status ControlService::ResumeScene(grpc::ServerContext*, const v1::ResumeSceneRequest* request,
+grpc::Status ControlService::ResumeScene(grpc::ServerContext* context, const v1::ResumeSceneRequest* request,
                                          v1::ResumeSceneResponse* response) {
+  if (const grpc::Status allowed = permit(context, "ResumeScene", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(waiting_calls_);
   if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->resume(); }),
@@ -136,6 +173,7 @@ grpc::Status ControlService::ResumeScene(grpc::ServerContext*, const v1::ResumeS
 
 grpc::Status ControlService::StepScene(grpc::ServerContext* context, const v1::StepSceneRequest* request,
                                        v1::StepSceneResponse* response) {
+  if (const grpc::Status allowed = permit(context, "StepScene", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   const std::uint32_t count = request->count();
@@ -150,30 +188,34 @@ grpc::Status ControlService::StepScene(grpc::ServerContext* context, const v1::S
                 response->mutable_status());
 }
 
-grpc::Status ControlService::ResetScene(grpc::ServerContext*, const v1::ResetSceneRequest* request,
+grpc::Status ControlService::ResetScene(grpc::ServerContext* context, const v1::ResetSceneRequest* request,
                                         v1::ResetSceneResponse* response) {
+  if (const grpc::Status allowed = permit(context, "ResetScene", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(reset_calls_);
   if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->reset(); }),
                 response->mutable_status());
 }
 
-grpc::Status ControlService::GetTopology(grpc::ServerContext*, const v1::GetTopologyRequest* request,
+grpc::Status ControlService::GetTopology(grpc::ServerContext* context, const v1::GetTopologyRequest* request,
                                          v1::GetTopologyResponse* response) {
+  if (const grpc::Status allowed = permit(context, "GetTopology", request->scene()); !allowed.ok()) return allowed;
   return answer(registry_.find(request->scene()).map([](const RunnerPtr& runner) { return runner->topology(); }),
                 response->mutable_topology());
 }
 
-grpc::Status ControlService::GetFrame(grpc::ServerContext*, const v1::GetFrameRequest* request,
+grpc::Status ControlService::GetFrame(grpc::ServerContext* context, const v1::GetFrameRequest* request,
                                       v1::GetFrameResponse* response) {
+  if (const grpc::Status allowed = permit(context, "GetFrame", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(waiting_calls_);
   if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->frame(); }),
                 response->mutable_frame());
 }
 
-grpc::Status ControlService::GetPositions(grpc::ServerContext*, const v1::GetPositionsRequest* request,
+grpc::Status ControlService::GetPositions(grpc::ServerContext* context, const v1::GetPositionsRequest* request,
                                           v1::GetPositionsResponse* response) {
+  if (const grpc::Status allowed = permit(context, "GetPositions", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(waiting_calls_);
   if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
@@ -182,8 +224,9 @@ grpc::Status ControlService::GetPositions(grpc::ServerContext*, const v1::GetPos
                 response);
 }
 
-grpc::Status ControlService::GetFields(grpc::ServerContext*, const v1::GetFieldsRequest* request,
+grpc::Status ControlService::GetFields(grpc::ServerContext* context, const v1::GetFieldsRequest* request,
                                        v1::GetFieldsResponse* response) {
+  if (const grpc::Status allowed = permit(context, "GetFields", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   return answer(
@@ -191,21 +234,27 @@ grpc::Status ControlService::GetFields(grpc::ServerContext*, const v1::GetFields
       response);
 }
 
-grpc::Status ControlService::GetStatus(grpc::ServerContext*, const v1::GetStatusRequest* request,
+grpc::Status ControlService::GetStatus(grpc::ServerContext* context, const v1::GetStatusRequest* request,
                                        v1::GetStatusResponse* response) {
+  if (const grpc::Status allowed = permit(context, "GetStatus", request->scene()); !allowed.ok()) return allowed;
   return answer(registry_.find(request->scene()).map([](const RunnerPtr& runner) { return runner->status(); }),
                 response->mutable_status());
 }
 
-grpc::Status ControlService::MoveTool(grpc::ServerContext*, const v1::MoveToolRequest* request, v1::MoveToolResponse*) {
+grpc::Status ControlService::MoveTool(grpc::ServerContext* context, const v1::MoveToolRequest* request,
+                                      v1::MoveToolResponse*) {
+  if (const grpc::Status allowed = permit(context, "MoveTool", request->scene(), request->tool()); !allowed.ok())
+    return allowed;
   const auto moved = registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
     return runner->submit_pose(request->tool(), request->pose(), world::PoseSource::kOperator);
   });
   return moved ? grpc::Status::OK : to_status(moved.error());
 }
 
-grpc::Status ControlService::GetFeedback(grpc::ServerContext*, const v1::GetFeedbackRequest* request,
+grpc::Status ControlService::GetFeedback(grpc::ServerContext* context, const v1::GetFeedbackRequest* request,
                                          v1::GetFeedbackResponse* response) {
+  if (const grpc::Status allowed = permit(context, "GetFeedback", request->scene(), request->tool()); !allowed.ok())
+    return allowed;
   const CallShare::Place place(waiting_calls_);
   if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
@@ -216,6 +265,10 @@ grpc::Status ControlService::GetFeedback(grpc::ServerContext*, const v1::GetFeed
 
 grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1::RecordSceneRequest* request,
                                          grpc::ServerWriter<v1::RecordSceneResponse>* writer) {
+  if (const grpc::Status allowed = permit(context, "RecordScene", request->scene()); !allowed.ok()) return allowed;
+  if (request->reset()) {
+    if (const grpc::Status allowed = permit(context, "ResetScene", request->scene()); !allowed.ok()) return allowed;
+  }
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   auto runner = registry_.find(request->scene());
@@ -255,8 +308,9 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
   return grpc::Status::OK;
 }
 
-grpc::Status ControlService::ReplayScene(grpc::ServerContext*, const v1::ReplaySceneRequest* request,
+grpc::Status ControlService::ReplayScene(grpc::ServerContext* context, const v1::ReplaySceneRequest* request,
                                          v1::ReplaySceneResponse* response) {
+  if (const grpc::Status allowed = permit(context, "ReplayScene", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   return answer(
@@ -264,16 +318,18 @@ grpc::Status ControlService::ReplayScene(grpc::ServerContext*, const v1::ReplayS
       response);
 }
 
-grpc::Status ControlService::SnapshotScene(grpc::ServerContext*, const v1::SnapshotSceneRequest* request,
+grpc::Status ControlService::SnapshotScene(grpc::ServerContext* context, const v1::SnapshotSceneRequest* request,
                                            v1::SnapshotSceneResponse* response) {
+  if (const grpc::Status allowed = permit(context, "SnapshotScene", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->snapshot(); }),
                 response);
 }
 
-grpc::Status ControlService::RestoreScene(grpc::ServerContext*, const v1::RestoreSceneRequest* request,
+grpc::Status ControlService::RestoreScene(grpc::ServerContext* context, const v1::RestoreSceneRequest* request,
                                           v1::RestoreSceneResponse* response) {
+  if (const grpc::Status allowed = permit(context, "RestoreScene", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
@@ -282,8 +338,9 @@ grpc::Status ControlService::RestoreScene(grpc::ServerContext*, const v1::Restor
                 response->mutable_status());
 }
 
-grpc::Status ControlService::AdjustScene(grpc::ServerContext*, const v1::AdjustSceneRequest* request,
+grpc::Status ControlService::AdjustScene(grpc::ServerContext* context, const v1::AdjustSceneRequest* request,
                                          v1::AdjustSceneResponse* response) {
+  if (const grpc::Status allowed = permit(context, "AdjustScene", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   return answer(registry_.adjust(request->scene(), request->changes()), response);

@@ -2,10 +2,13 @@
 
 #include <cstdint>
 #include <functional>
+#include <string_view>
 
+#include "access/key_ring.h"
 #include "control/call_share.h"
 #include "control/scene_registry.h"
 #include "core/control_limits.h"
+#include "core/log.h"
 #include "tensormass/v1/control.grpc.pb.h"
 
 namespace tensormass::control {
@@ -19,9 +22,10 @@ namespace tensormass::control {
 class ControlService final : public v1::Control::Service {
  public:
   /// `registry` must outlive the service. GetVersion answers `identity` with the current result of `malformed_count` in
-  /// `malformed_messages`; `malformed_count` is called on gRPC's threads.
+  /// `malformed_messages`; `malformed_count` is called on gRPC's threads. keys: say who may call what (access/rules.h);
+  /// nullptr: everybody may call everything.
   ControlService(SceneRegistry& registry, v1::GetVersionResponse identity,
-                 std::function<std::uint64_t()> malformed_count);
+                 std::function<std::uint64_t()> malformed_count, const access::KeyRing* keys = nullptr);
 
   grpc::Status GetVersion(grpc::ServerContext*, const v1::GetVersionRequest*, v1::GetVersionResponse*) override;
   grpc::Status LoadScene(grpc::ServerContext*, const v1::LoadSceneRequest*, v1::LoadSceneResponse*) override;
@@ -50,9 +54,16 @@ class ControlService final : public v1::Control::Service {
   grpc::Status AdjustScene(grpc::ServerContext*, const v1::AdjustSceneRequest*, v1::AdjustSceneResponse*) override;
 
  private:
+  /// Returns OK if the client's role may make a call of this service for a scene and a tool; the refusal otherwise.
+  /// Every call asks it first.
+  grpc::Status permit(const grpc::ServerContext* context, std::string_view call, std::string_view scene = {},
+                      std::string_view tool = {});
+
   SceneRegistry& registry_;
   const v1::GetVersionResponse identity_;
   const std::function<std::uint64_t()> malformed_count_;
+  const access::KeyRing* const keys_;
+  log::Limiter refused_calls_;
   CallShare long_calls_{limits::kMaxLongCalls, "kMaxLongCalls"};
   CallShare waiting_calls_{limits::kMaxWaitingCalls, "kMaxWaitingCalls"};
   CallShare reset_calls_{limits::kMaxResetCalls, "kMaxResetCalls"};

@@ -24,6 +24,9 @@ using Clock = std::chrono::steady_clock;
 
 /// The first bytes of every HTTP/2 connection (RFC 9113, section 3.4).
 constexpr std::string_view kPreface = "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+/// The first bytes of every TLS connection: a record of its handshake, in a version that starts with 3. A record is
+/// longer than the preface of HTTP/2, so both wait for as many bytes.
+constexpr std::string_view kTlsRecord = "\x16\x03";
 /// Time for the preface to arrive.
 constexpr std::chrono::seconds kPrefaceTimeout{3};
 /// Time without polling the listener after accept failed.
@@ -107,7 +110,8 @@ Doorkeeper::~Doorkeeper() {
   thread_.join();
 }
 
-void Doorkeeper::open(Admit admit, Refuse refuse) {
+void Doorkeeper::open(Admit admit, Refuse refuse, Opening opening) {
+  opening_ = opening;
   admit_ = std::move(admit);
   refuse_ = std::move(refuse);
   thread_ = std::thread([this] { run(); });
@@ -164,7 +168,9 @@ bool Doorkeeper::decide(Connection& connection, bool is_readable, Clock::time_po
   if (!is_readable && now < connection.deadline) return false;
   std::array<char, kPreface.size()> received;
   const ssize_t size = recv(connection.socket.get(), received.data(), received.size(), MSG_PEEK);
-  if (size == static_cast<ssize_t>(kPreface.size()) && std::string_view(received.data(), received.size()) == kPreface) {
+  const std::string_view start(received.data(), received.size());
+  if (size == static_cast<ssize_t>(kPreface.size()) &&
+      (opening_ == Opening::kTls ? start.starts_with(kTlsRecord) : start == kPreface)) {
     set_option(connection.socket.get(), SOL_SOCKET, SO_RCVLOWAT, 1);
     set_option(connection.socket.get(), IPPROTO_TCP, TCP_NODELAY, 1);
     admit_(connection.socket.release());

@@ -3,6 +3,7 @@
 #include <poll.h>
 
 #include <chrono>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
@@ -29,7 +30,7 @@ class Descriptor {
   int descriptor_;
 };
 
-/// Listens on gRPC's port and passes on only the connections that start with HTTP/2's preface.
+/// Listens on gRPC's port and passes on only the connections that start with HTTP/2's preface, or, with keys, with TLS.
 ///
 /// gRPC would close all other connections without reporting them. The doorkeeper exists to count them, so that a client
 /// that speaks the wrong protocol shows up in `GetVersion.malformed_messages` and in the log.
@@ -58,8 +59,10 @@ class Doorkeeper {
   static Result<std::unique_ptr<Doorkeeper>> listen(const std::string& address);
   ~Doorkeeper();
 
+  /// What a connection must start with.
+  enum class Opening : std::uint8_t { kHttp2, kTls };
   /// Starts the thread. Call it once.
-  void open(Admit admit, Refuse refuse);
+  void open(Admit admit, Refuse refuse, Opening opening = Opening::kHttp2);
   /// HOST:PORT that clients connect to, with the port that was chosen.
   const std::string& endpoint() const { return endpoint_; }
 
@@ -84,6 +87,7 @@ class Doorkeeper {
   const std::string endpoint_;
   Admit admit_;
   Refuse refuse_;
+  Opening opening_ = Opening::kHttp2;
   std::vector<Connection> waiting_;  // oldest first
   std::chrono::steady_clock::time_point accept_after_{};
   std::thread thread_;

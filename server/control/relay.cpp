@@ -2,11 +2,17 @@
 
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
+#include <sys/random.h>
 #include <sys/socket.h>
+#include <sys/un.h>
 
+#include <algorithm>
 #include <cerrno>
+#include <cstring>
 #include <new>
 #include <utility>
+
+#include <fmt/format.h>
 
 namespace tensormass::control {
 namespace {
@@ -19,17 +25,58 @@ constexpr std::chrono::seconds kCheckPeriod{1};
 constexpr int kBuffersPerTurn = 8;
 /// Key of the wake-up in epoll; a connection n has the keys 2 n for its client and 2 n + 1 for gRPC.
 constexpr std::uint64_t kWakeKey = 0;
+/// Time for TLS's handshake.
+constexpr std::chrono::seconds kHandshakeTimeout{3};
+/// The address of our end of a socket pair: this, 16 random hexadecimal digits that make it unique, a hyphen, the id.
+constexpr std::string_view kPeerPrefix = "tm-";
+constexpr std::size_t kPeerDigits = 16;
 
 bool would_block() { return errno == EAGAIN || errno == EINTR; }
+
+/// Gives a socket an address in the abstract namespace, which nobody can connect to because it does not listen.
+bool name_socket(int descriptor, const std::string& id) {
+  std::uint64_t random = 0;
+  if (getrandom(&random, sizeof(random), 0) != sizeof(random)) return false;
+  const std::string name = fmt::format("{}{:016x}-{}", kPeerPrefix, random, id);
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  if (name.size() + 1 > sizeof(address.sun_path)) return false;
+  std::copy(name.begin(), name.end(), address.sun_path + 1);
+  const auto size = static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + 1 + name.size());
+  return bind(descriptor, reinterpret_cast<const sockaddr*>(&address), size) == 0;
+}
+
+/// A plain socket, and a client's socket, which may have TLS around it.
+struct Plain {
+  int socket;
+  ssize_t read(char* bytes, std::size_t size) const { return recv(socket, bytes, size, 0); }
+  ssize_t write(const char* bytes, std::size_t size) const { return send(socket, bytes, size, MSG_NOSIGNAL); }
+  void end() const { shutdown(socket, SHUT_WR); }
+};
+struct OfClient {
+  int socket;
+  TlsStream* tls;
+  ssize_t read(char* bytes, std::size_t size) const {
+    return tls != nullptr ? tls->read(bytes, size) : recv(socket, bytes, size, 0);
+  }
+  ssize_t write(const char* bytes, std::size_t size) const {
+    return tls != nullptr ? tls->write(bytes, size) : send(socket, bytes, size, MSG_NOSIGNAL);
+  }
+  void end() const {
+    if (tls != nullptr) tls->end();
+    shutdown(socket, SHUT_WR);
+  }
+};
 
 }  // namespace
 
 Relay::Connection::Connection(Descriptor of_client, Descriptor of_inner, std::atomic<std::uint64_t>& half_sent)
     : client(std::move(of_client)), inner(std::move(of_inner)), meter(half_sent, Clock::now()) {}
 
-Relay::Relay(Admit admit, Refuse refuse)
+Relay::Relay(Admit admit, Refuse refuse, RelayGuard guard)
     : admit_(std::move(admit)),
       refuse_(std::move(refuse)),
+      guard_(std::move(guard)),
       poll_(epoll_create1(EPOLL_CLOEXEC)),
       wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   epoll_event event{.events = EPOLLIN, .data = {.u64 = kWakeKey}};
@@ -46,17 +93,37 @@ Relay::~Relay() {
 void Relay::add(int descriptor) {
   Descriptor client(descriptor);
   if (count_.load() >= limits::kMaxControlConnections) return refuse_("more than kMaxControlConnections connections");
-  int ends[2] = {-1, -1};
-  // Without descriptors the client is closed, as it is when accept fails.
-  if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, ends) != 0) return;
-  Descriptor ours(ends[0]), theirs(ends[1]);
+  auto connection = std::make_unique<Connection>(std::move(client), Descriptor(), half_sent_);
+  if (guard_.tls != nullptr) {
+    connection->tls = std::make_unique<TlsStream>(*guard_.tls, connection->client.get());
+    connection->shakes_hands_until = Clock::now() + kHandshakeTimeout;
+  } else if (!connect_inner(*connection)) {
+    return;
+  }
   {
     const std::lock_guard lock(mutex_);
-    new_.push_back(std::make_unique<Connection>(std::move(client), std::move(ours), half_sent_));
+    new_.push_back(std::move(connection));
   }
   count_.fetch_add(1);
   eventfd_write(wake_.get(), 1);
+}
+
+bool Relay::connect_inner(Connection& connection) {
+  int ends[2] = {-1, -1};
+  // Without descriptors the client is closed, as it is when accept fails.
+  if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, ends) != 0) return false;
+  connection.inner = Descriptor(ends[0]);
+  Descriptor theirs(ends[1]);
+  if (connection.tls && !name_socket(ends[0], connection.id)) return false;
   admit_(theirs.release());
+  return true;
+}
+
+std::string Relay::id_of_peer(std::string_view peer) {
+  const std::size_t at = peer.find(kPeerPrefix);
+  if (!peer.starts_with("unix-abstract:") || at != std::string_view("unix-abstract:").size()) return {};
+  const std::size_t id = at + kPeerPrefix.size() + kPeerDigits + 1;
+  return id < peer.size() ? std::string(peer.substr(id)) : std::string();
 }
 
 void Relay::run() {
@@ -105,8 +172,13 @@ void Relay::take_new() {
 }
 
 Relay::Outcome Relay::carry(Connection& connection) {
+  if (connection.inner.get() < 0) {
+    const Outcome shaken = shake_hands(connection);
+    if (shaken == Outcome::kEnded || connection.inner.get() < 0) return shaken;
+  }
   const Clock::time_point now = Clock::now();
-  const int client = connection.client.get(), inner = connection.inner.get();
+  const OfClient client{connection.client.get(), connection.tls.get()};
+  const Plain inner{connection.inner.get()};
   // The answers first: they say which calls have ended.
   const Outcome out = carry(inner, client, connection.out, [&](std::string_view bytes) {
     connection.meter.from_server(bytes);
@@ -119,11 +191,30 @@ Relay::Outcome Relay::carry(Connection& connection) {
   return connection.out.passed_on ? Outcome::kEnded : in;
 }
 
-template <class Taken>
-Relay::Outcome Relay::carry(int from, int to, Buffer& buffer, const Taken& taken) {
+Relay::Outcome Relay::shake_hands(Connection& connection) {
+  switch (connection.tls->shake_hands()) {
+    case TlsStream::Handshake::kGoesOn:
+      return Outcome::kGoesOn;
+    case TlsStream::Handshake::kFailed:
+      refuse_(fmt::format("a peer without a valid key: {}", connection.tls->failure()));
+      return Outcome::kEnded;
+    case TlsStream::Handshake::kDone:
+      break;
+  }
+  connection.shakes_hands_until = Clock::time_point::max();
+  connection.id = connection.tls->peer_name();
+  if (!guard_.knows(connection.id)) {
+    refuse_(fmt::format("a peer whose key was removed or has expired: {}", connection.id));
+    return Outcome::kEnded;
+  }
+  return connect_inner(connection) ? Outcome::kGoesOn : Outcome::kEnded;
+}
+
+template <class From, class To, class Taken>
+Relay::Outcome Relay::carry(const From& from, const To& to, Buffer& buffer, const Taken& taken) {
   for (int turn = 0; turn < kBuffersPerTurn; ++turn) {
     if (buffer.empty() && !buffer.source_ended) {
-      const ssize_t size = recv(from, buffer.bytes.data(), buffer.bytes.size(), 0);
+      const ssize_t size = from.read(buffer.bytes.data(), buffer.bytes.size());
       if (size < 0) return would_block() ? Outcome::kGoesOn : Outcome::kEnded;
       buffer.begin = 0;
       buffer.end = static_cast<std::size_t>(size);
@@ -134,12 +225,12 @@ Relay::Outcome Relay::carry(int from, int to, Buffer& buffer, const Taken& taken
       }
     }
     while (!buffer.empty()) {
-      const ssize_t size = send(to, buffer.view().data(), buffer.view().size(), MSG_NOSIGNAL);
+      const ssize_t size = to.write(buffer.view().data(), buffer.view().size());
       if (size < 0) return would_block() ? Outcome::kGoesOn : Outcome::kEnded;
       buffer.begin += static_cast<std::size_t>(size);
     }
     if (!buffer.source_ended) continue;
-    if (!std::exchange(buffer.passed_on, true)) shutdown(to, SHUT_WR);
+    if (!std::exchange(buffer.passed_on, true)) to.end();
     return Outcome::kGoesOn;
   }
   return Outcome::kGoesOn;
@@ -150,7 +241,13 @@ void Relay::wait_for(std::uint64_t id, Connection& connection) {
     const bool reads = from.empty() && !from.source_ended;
     return (reads ? std::uint32_t{EPOLLIN} : 0u) | (to.empty() ? 0u : std::uint32_t{EPOLLOUT});
   };
-  watch(2 * id, connection.client.get(), connection.client_events, wanted(connection.in, connection.out));
+  std::uint32_t of_client = wanted(connection.in, connection.out);
+  if (connection.inner.get() < 0) {
+    of_client = connection.tls->waits_to_write() ? EPOLLOUT : EPOLLIN;
+    return watch(2 * id, connection.client.get(), connection.client_events, of_client);
+  }
+  if (connection.tls && connection.tls->waits_to_write()) of_client |= EPOLLOUT;
+  watch(2 * id, connection.client.get(), connection.client_events, of_client);
   watch(2 * id + 1, connection.inner.get(), connection.inner_events, wanted(connection.out, connection.in));
 }
 
@@ -167,7 +264,12 @@ void Relay::check_time() {
   const Clock::time_point now = Clock::now();
   next_check_ = now + kCheckPeriod;
   for (auto connection = connections_.begin(); connection != connections_.end();) {
-    const std::string_view why = connection->second->meter.at(now);
+    Connection& one = *connection->second;
+    std::string_view why = one.meter.at(now);
+    if (why.empty() && now >= one.shakes_hands_until) why = "a peer that did not end TLS's handshake in time";
+    if (why.empty() && one.tls && !one.id.empty() && !guard_.knows(one.id)) {
+      why = "a client whose key was removed or has expired";
+    }
     if (why.empty()) {
       ++connection;
       continue;

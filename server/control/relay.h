@@ -8,19 +8,31 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <string>
 #include <string_view>
 #include <thread>
 #include <vector>
 
 #include "control/doorkeeper.h"
 #include "control/http2_meter.h"
+#include "control/tls.h"
 
 namespace tensormass::control {
+
+/// How connections are guarded by keys.
+struct RelayGuard {
+  const TlsContext* tls = nullptr;  ///< nullptr: plain text, and nobody is asked who it is
+  /// Whether a client still has its key; must not block.
+  std::function<bool(std::string_view id)> knows = nullptr;
+};
 
 /// Carries the bytes of admitted connections to gRPC and back, and closes a connection that passes a limit of HTTP/2.
 ///
 ///     client <── socket ──> one buffer each way <── socket pair ──> gRPC
 ///                                └─ Http2Meter: too many resets, too long headers, ... ──> close both, refuse(why)
+///
+/// With keys, the client's side speaks TLS, and gRPC gets a connection when the handshake is done. gRPC then calls its
+/// peer by the name of the client's certificate (id_of_peer), because the socket pair's other end has that address.
 ///
 /// A buffer is read into only when it is empty, so a side that does not read makes the other wait, as without a relay.
 /// One thread does all of this. It sleeps in epoll, calls `refuse`, and is joined by the destructor.
@@ -31,11 +43,14 @@ class Relay {
   /// Called with the reason for each connection that was closed for a limit; must not block.
   using Refuse = std::function<void(std::string_view why)>;
 
-  Relay(Admit admit, Refuse refuse);
+  Relay(Admit admit, Refuse refuse, RelayGuard guard = {});
   ~Relay();
 
   /// Takes ownership of a client's socket, non-blocking. Any thread may call it; `admit` runs on it.
   void add(int client);
+
+  /// Returns the id of a client, from what gRPC calls its peer; empty without keys.
+  static std::string id_of_peer(std::string_view peer);
 
  private:
   /// Bytes on their way from one socket to the other.
@@ -50,6 +65,9 @@ class Relay {
   struct Connection {
     Connection(Descriptor of_client, Descriptor of_inner, std::atomic<std::uint64_t>& half_sent);
     Descriptor client, inner;
+    std::unique_ptr<TlsStream> tls;  // nullptr: plain text
+    std::string id;                  // the client's, after the handshake
+    std::chrono::steady_clock::time_point shakes_hands_until = std::chrono::steady_clock::time_point::max();
     Http2Meter meter;
     Buffer in, out;
     std::uint32_t client_events = 0, inner_events = 0;  // that epoll waits for
@@ -59,16 +77,20 @@ class Relay {
   void run();
   void take_new();
   Outcome carry(Connection& connection);
+  Outcome shake_hands(Connection& connection);
+  /// Makes the socket pair and hands gRPC its end. Returns false without descriptors.
+  bool connect_inner(Connection& connection);
   /// Moves what it can; taken: std::string_view(std::string_view), gets the bytes that were read and returns why the
   /// connection must be closed, or "".
-  template <class Taken>
-  Outcome carry(int from, int to, Buffer& buffer, const Taken& taken);
+  template <class From, class To, class Taken>
+  Outcome carry(const From& from, const To& to, Buffer& buffer, const Taken& taken);
   void wait_for(std::uint64_t id, Connection& connection);
   void watch(std::uint64_t key, int descriptor, std::uint32_t& present, std::uint32_t wanted);
   void check_time();
 
   const Admit admit_;
   const Refuse refuse_;
+  const RelayGuard guard_;
   Descriptor poll_, wake_;
   std::atomic<std::uint64_t> half_sent_{0};
   std::atomic<std::size_t> count_{0};

@@ -107,6 +107,22 @@ bool is_local_endpoint(std::string_view endpoint) {
   return inet_pton(AF_INET, host.c_str(), &address) == 1 && ntohl(address.s_addr) >> 24 == 127;
 }
 
+std::string check_keys(const Config& config) {
+  if (!config.keys.empty()) return {};
+  for (const auto& [option, endpoint] :
+       {std::pair{"--control", &config.control}, std::pair{"--zeromq-publish", &config.zeromq_publish},
+        std::pair{"--zeromq-pose", &config.zeromq_pose}, std::pair{"--zenoh-listen", &config.zenoh_listen}}) {
+    if (*endpoint == kOff || is_local_endpoint(*endpoint)) continue;
+    return fmt::format(
+        "{} {}: other machines can reach this address, so clients need keys. Make keys, and start again with them:\n"
+        "  tensormass keys init keys\n"
+        "  tensormass keys add NAME --role operator --keys keys\n"
+        "  tensormassd --keys keys ...",
+        option, *endpoint);
+  }
+  return {};
+}
+
 ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   ParsedCommandLine parsed;
   Config& config = parsed.config;
@@ -156,6 +172,9 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   app.add_option("--zenoh-sessions", config.zenoh_sessions,
                  "Clients connected over zenoh at once; a further one is refused")
       ->check(CLI::Range(1u, limits::kMaxZenohSessions));
+  app.add_option(
+      "--keys", config.keys,
+      "Folder of `tensormass keys init`: who may connect, and do what. Needed where other machines can connect");
   app.add_option("--log-level", log_level, "Lowest level that is logged")
       ->check(CLI::IsMember({"debug", "info", "warning", "error"}));
   app.add_option("--log-format", log_format, "json: one object a line")->check(CLI::IsMember({"text", "json"}));
@@ -181,6 +200,8 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
     if ((config.zeromq_publish == kOff) != (config.zeromq_pose == kOff)) {
       throw CLI::ValidationError("--zeromq-publish and --zeromq-pose", "turn both off, or neither");
     }
+    if (const std::string refusal = check_keys(config); !refusal.empty())
+      return finish(2, "tensormassd: " + refusal + "\n");
   } catch (const CLI::Success& success) {
     std::ostringstream text;
     app.exit(success, text, text);

@@ -30,6 +30,8 @@ struct Config {
   std::uint64_t max_scene_mib = 0;
   std::uint64_t max_memory_mib = 0;
   double max_load_s = 600;
+  /// Folder of the keys (access/key_ring.h). Empty: no client is asked who it is, so every endpoint must be local.
+  std::string keys;
   spdlog::level::level_enum log_level = spdlog::level::info;
   log::Format log_format = log::Format::kText;
   /// Path of the ready file (daemon.h). Empty: no file is written.
@@ -46,6 +48,10 @@ struct ParsedCommandLine {
   int exit_status = 0;
   std::string output;
 };
+
+/// Returns "" if the settings have keys, or nobody else can reach the endpoints. Otherwise the refusal, which is the
+/// command that makes keys.
+std::string check_keys(const Config& config);
 
 /// Reads the flags, the environment and the config file. Every error names the setting.
 ParsedCommandLine parse_command_line(int argc, const char* const* argv);

@@ -19,19 +19,13 @@ constexpr double kMib = 1 << 20;
 }  // namespace
 
 Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config) {
+  if (std::string refusal = check_keys(config); !refusal.empty()) return invalid(std::move(refusal));
   TM_ASSIGN_OR_RETURN(backend, world::describe_backend(config.backend));
   std::unique_ptr<Daemon> daemon(new Daemon(config, backend));
   TM_RETURN_IF_ERROR(daemon->open(config));
   const v1::GetVersionResponse& identity = daemon->identity();
   if (config.backend == world::BackendChoice::kAuto && backend.backend == "cpu") {
     log::warn("no GPU answers: scenes run on the CPU", {{"device", backend.device}, {"reason", backend.reason}});
-  }
-  for (const std::string& endpoint : {daemon->control_endpoint(), identity.zeromq_publish_endpoint(),
-                                      identity.zeromq_pose_endpoint(), identity.zenoh_locator()}) {
-    if (!is_local_endpoint(endpoint)) {
-      log::warn("other machines can reach this endpoint, and nothing on it asks who they are",
-                {{"endpoint", endpoint}});
-    }
   }
   log::info("serving", {{"version", identity.version()},
                         {"server", identity.server()},
@@ -40,7 +34,8 @@ Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config) {
                         {"control", daemon->control_endpoint()},
                         {"zeromq_publish", identity.zeromq_publish_endpoint()},
                         {"zeromq_pose", identity.zeromq_pose_endpoint()},
-                        {"zenoh", identity.zenoh_locator()}});
+                        {"zenoh", identity.zenoh_locator()},
+                        {"keys", config.keys}});
   return daemon;
 }
 
@@ -58,12 +53,17 @@ Daemon::Daemon(const Config& config, const world::BackendDescription& backend)
 }
 
 Result<void> Daemon::open(const Config& config) {
+  if (!config.keys.empty()) {
+    TM_ASSIGN_OR_RETURN(keys, access::KeyRing::open(config.keys));
+    keys_ = std::move(keys);
+  }
   bus::BusOptions options;
   options.server = config.server_name;
   options.zeromq_publish_endpoint = config.zeromq_publish;
   options.zeromq_pose_endpoint = config.zeromq_pose;
   options.zenoh_listen = config.zenoh_listen;
   options.zenoh_sessions = config.zenoh_sessions;
+  options.keys = keys_.get();
   options.on_pose = [this](std::string_view scene, std::string_view tool, const v1::ToolPose& pose) {
     receive_pose(scene, tool, pose);
   };
@@ -82,14 +82,16 @@ Result<void> Daemon::open(const Config& config) {
     ++refused_connections_;
     note_malformed({}, fmt::format("{}, on the control endpoint; its connection was closed", why));
   };
-  TM_ASSIGN_OR_RETURN(server,
-                      control::ControlServer::start(
-                          config.control, registry_, identity_, [this] { return malformed_count(); }, on_refused));
+  TM_ASSIGN_OR_RETURN(
+      server, control::ControlServer::start(
+                  config.control, registry_, identity_, [this] { return malformed_count(); }, on_refused, keys_.get()));
   server_ = std::move(server);
+  if (keys_) keys_->follow([this] { bus_->keys_changed(); });
   return {};
 }
 
 Daemon::~Daemon() {
+  if (keys_) keys_->stop();
   if (server_ != nullptr) server_->announce_shutdown();
   std::vector<control::RunnerPtr> ending = registry_.close();
   publisher_.reset();

@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 
+#include "access/key_ring.h"
 #include "bus/bus.h"
 #include "control/control_server.h"
 #include "control/scene_registry.h"
@@ -22,6 +23,7 @@ namespace tensormass::daemon {
 ///     doorkeeper              accept on the control port                   connections
 ///     relay                   bytes between control clients and gRPC       its sockets
 ///     loop, one per scene     steps, writes mailboxes (world/loop.h)       its clock
+///     key ring                who has a key (access/key_ring.h)            its clock, and a zenoh session that opens
 ///     publisher               mailboxes -> bus (publisher.h)               the loops' signal
 ///     ZeroMQ's receiver       poses -> receive_pose                        its sockets
 ///     zenoh's threads         poses -> receive_pose                        their sockets
@@ -66,6 +68,7 @@ class Daemon {
   log::Limiter malformed_messages_;
   std::atomic<std::uint64_t> refused_connections_{0};
   control::SceneRegistry registry_;
+  std::unique_ptr<access::KeyRing> keys_;  // nullptr: nobody is asked who it is
   std::unique_ptr<bus::Bus> bus_;
   std::optional<Publisher> publisher_;
   std::unique_ptr<control::ControlServer> server_;

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
+from tensormass_gateway.page_tls import is_loopback
 from tensormass_tools import cli
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,11 +24,19 @@ def shell_default(text: str) -> str:
     return re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", text)
 
 
-def compose_service(name: str) -> dict[str, Any]:
-    files = [yaml.safe_load((DOCKER / file).read_text())["services"] for file in ("compose.yaml", "compose.gpu.yaml")]
+#: Files of Compose, by what they are for.
+COMPOSE = {"compose": ("compose.yaml", "compose.gpu.yaml"), "compose with keys": ("compose.yaml", "compose.keys.yaml")}
+SOURCES = [*COMPOSE, "kubernetes"]
+
+
+def compose_service(name: str, source: str = "compose") -> dict[str, Any]:
+    files = [yaml.safe_load((DOCKER / file).read_text())["services"] for file in COMPOSE[source]]
     service: dict[str, Any] = {}
     for services in files:
+        environment = service.get("environment", {}) | services.get(name, {}).get("environment", {})
         service |= services.get(name, {})
+        if environment:
+            service["environment"] = environment
     return service
 
 
@@ -39,15 +48,16 @@ def pod_container(name: str) -> dict[str, Any]:
 
 def settings(source: str) -> tuple[list[str], dict[str, str]]:
     """Returns the arguments and environment that a deployment gives to the daemon."""
-    if source == "compose":
-        service = compose_service("server")
-        return service["command"], {name: shell_default(value) for name, value in service["environment"].items()}
+    if source in COMPOSE:
+        service = compose_service("server", source)
+        return service.get("command", []), {
+            name: shell_default(value) for name, value in service["environment"].items()
+        }
     container = pod_container("server")
-    environment = {entry["name"]: entry["value"] for entry in container["env"] if "value" in entry}
-    return container["args"], {name: value.replace("$(POD_IP)", "192.0.2.7") for name, value in environment.items()}
+    return container["args"], {entry["name"]: entry["value"] for entry in container["env"]}
 
 
-@pytest.mark.parametrize("source", ["compose", "kubernetes"])
+@pytest.mark.parametrize("source", SOURCES)
 def test_daemon_accepts_its_settings(source: str) -> None:
     if not DAEMON.exists():
         pytest.skip(f"{DAEMON.name} is not built")
@@ -60,12 +70,26 @@ def test_daemon_accepts_its_settings(source: str) -> None:
         assert value in result.stdout, f"{name} has no effect: {result.stdout}"
 
 
-@pytest.mark.parametrize("source", ["compose", "kubernetes"])
+@pytest.mark.parametrize("source", SOURCES)
 def test_command_accepts_the_viewers_arguments(source: str) -> None:
-    arguments = compose_service("viewer")["command"] if source == "compose" else pod_container("viewer")["args"]
+    arguments = compose_service("viewer", source)["command"] if source in COMPOSE else pod_container("viewer")["args"]
     parsed = cli._parser().parse_args([shell_default(argument) for argument in arguments])
     assert parsed.port == 8080
     assert parsed.server
+    # Another machine reaches an address that is not loopback, so there must be keys for it.
+    assert (parsed.keys is None) == is_loopback(parsed.host)
+
+
+def test_secrets_of_the_pod_are_for_the_containers_alone() -> None:
+    """The programs refuse keys that every user can read."""
+    deployment = next(yaml.safe_load_all((DOCKER / "kubernetes.yaml").read_text()))
+    pod = deployment["spec"]["template"]["spec"]
+    secrets = {each["name"]: each["secret"] for each in pod["volumes"] if "secret" in each}
+    assert {each["secretName"] for each in secrets.values()} == {"tensormass-keys", "tensormass-gateway"}
+    assert all(each["defaultMode"] & 0o007 == 0 for each in secrets.values())
+    assert pod["securityContext"]["fsGroup"] == pod["securityContext"]["runAsUser"]
+    mounted = {mount["name"] for one in pod["containers"] for mount in one.get("volumeMounts", [])}
+    assert set(secrets) <= mounted
 
 
 def test_dockerfile_copies_what_exists() -> None:
@@ -75,7 +99,7 @@ def test_dockerfile_copies_what_exists() -> None:
         assert (ROOT / source).exists(), f"{source} is not in the repository"
 
 
-@pytest.mark.parametrize("file", ["compose.yaml", "compose.gpu.yaml"])
+@pytest.mark.parametrize("file", ["compose.yaml", "compose.gpu.yaml", "compose.keys.yaml"])
 def test_compose_builds_targets_and_arguments_that_the_dockerfile_has(file: str) -> None:
     dockerfile = (DOCKER / "Dockerfile").read_text()
     targets = set(re.findall(r"^FROM \S+ AS (\w+)$", dockerfile, re.MULTILINE))

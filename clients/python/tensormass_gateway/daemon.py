@@ -16,6 +16,7 @@ import grpc
 import zmq
 import zmq.asyncio
 
+from tensormass._src.client_keys import ClientKeys, channel_options, guard_socket
 from tensormass._src.endpoints import reached_endpoints
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 from tensormass_gateway.feed import MAX_BUS_MESSAGE_BYTES, RPC_TIMEOUT_S, Feed
@@ -35,7 +36,9 @@ class Daemon:
         poll_interval_s: float,
         on_change: Callable[[], None],
         known: Mapping[str, scene_pb2.Scene] | None = None,
+        keys: ClientKeys | None = None,
     ) -> None:
+        self.keys = keys
         self.zeromq = zmq.asyncio.Context()
         self.version = control_pb2.GetVersionResponse()
         self.scenes: set[str] = set()
@@ -48,15 +51,18 @@ class Daemon:
         self._address = control
         self._poll_interval_s = poll_interval_s
         self._on_change = on_change
-        self._channel = grpc.aio.insecure_channel(
-            control,
-            options=[
-                ("grpc.max_receive_message_length", MAX_BUS_MESSAGE_BYTES),
-                ("grpc.enable_http_proxy", 0),
-                # Finds a restarted daemon within two polls, not after gRPC's two minutes.
-                ("grpc.max_reconnect_backoff_ms", max(100, int(1000 * poll_interval_s))),
-            ],
-        )
+        options = [
+            ("grpc.max_receive_message_length", MAX_BUS_MESSAGE_BYTES),
+            ("grpc.enable_http_proxy", 0),
+            # Finds a restarted daemon within two polls, not after gRPC's two minutes.
+            ("grpc.max_reconnect_backoff_ms", max(100, int(1000 * poll_interval_s))),
+        ]
+        if keys is None:
+            self._channel = grpc.aio.insecure_channel(control, options=options)
+        else:
+            self._channel = grpc.aio.secure_channel(
+                control, keys.channel_credentials(), options=channel_options(keys, options)
+            )
         self.control = control_pb2_grpc.ControlStub(self._channel)
         self._feeds: dict[str, Feed] = {}
         # Answers must be taken in the order of their questions: an old list of scenes would hide a new scene.
@@ -164,6 +170,7 @@ class Daemon:
         if self._pose_socket is None:
             # A plain socket of the same context needs no event loop, because it never waits.
             self._pose_socket = zmq.Context.shadow(self.zeromq.underlying).socket(zmq.PUSH)
+            guard_socket(self.keys, self._pose_socket)
             self._pose_socket.setsockopt(zmq.LINGER, 0)
             # Few messages, so that a stuck daemon gets no old poses when it wakes. CONFLATE would mix tools.
             self._pose_socket.setsockopt(zmq.SNDHWM, 4)

@@ -11,6 +11,7 @@ import zmq
 import zmq.asyncio
 from google.protobuf.message import DecodeError
 
+from tensormass._src.client_keys import ClientKeys, guard_socket
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 from tensormass_gateway.fields import FieldPoll
 from tensormass_gateway.outbox import Stream, Watcher
@@ -37,6 +38,7 @@ class Bus(Protocol):
     control: control_pb2_grpc.ControlStub
     malformed: int
     known: dict[str, scene_pb2.Scene]
+    keys: ClientKeys | None
 
 
 class Feed(SceneStreams):
@@ -105,6 +107,7 @@ class Feed(SceneStreams):
         prefix = self.key(stream)
         with self._daemon.zeromq.socket(zmq.SUB) as socket:
             # CONFLATE keeps one message for each socket, so every stream has its own socket.
+            guard_socket(self._daemon.keys, socket)
             socket.setsockopt(zmq.CONFLATE, 1)
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.MAXMSGSIZE, MAX_BUS_MESSAGE_BYTES)

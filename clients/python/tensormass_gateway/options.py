@@ -7,6 +7,7 @@ import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tensormass._src.client_keys import ClientKeys, keys_of
 from tensormass._src.processes import BUNDLE
 from tensormass_gateway.origins import origin_of
 
@@ -36,6 +37,10 @@ class GatewayOptions:
     max_browsers: int = 16
     origins: tuple[str, ...] = ()
     """Origins that may connect in addition to the gateway's own pages."""
+    keys: ClientKeys | None = None
+    """Keys of the gateway, for a daemon with keys; None: the daemon asks for none."""
+    page: ClientKeys | None = None
+    """Keys with the certificate of the page, for HTTPS; None: the page is for this machine alone."""
     allow_poses: bool = False
     """Whether operators may move tools."""
     viewer: Path = DEFAULT_VIEWER
@@ -78,8 +83,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def options_from(args: argparse.Namespace, control: str) -> GatewayOptions:
-    """Makes options of the arguments of `add_arguments`, for the daemon at `control` (host:port)."""
+def options_from(args: argparse.Namespace, control: str, *, daemon_has_keys: bool = True) -> GatewayOptions:
+    """Makes options of the arguments of `add_arguments`, for the daemon at `control` (host:port).
+
+    Args:
+        daemon_has_keys: whether --keys are for the daemon too, or for the page alone.
+    """
+    keys = keys_of(getattr(args, "keys", None))
     tokens = {"token": args.token, "operator_token": args.operator_token}
     return GatewayOptions(
         control=control,
@@ -87,6 +97,8 @@ def options_from(args: argparse.Namespace, control: str) -> GatewayOptions:
         port=args.port,
         max_browsers=args.max_browsers,
         origins=tuple(args.origin),
+        keys=keys if daemon_has_keys else None,
+        page=keys if keys is not None and keys.page_certificate else None,
         allow_poses=args.allow_poses,
         viewer=args.viewer,
         **{name: token for name, token in tokens.items() if token is not None},

@@ -29,7 +29,8 @@ from tensormass._src.scene import Scene
 from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_tools import desktop, export, hand, load_test, mesh_command, modes, organ_command, recording, run, solve
-from tensormass_tools.daemon_arguments import add_daemon_arguments, daemon_of
+from tensormass_tools.daemon_arguments import add_daemon_arguments, add_keys_argument, daemon_of
+from tensormass_tools.keys import command as keys
 from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
 from tensormass_tools.output import (
     Warnings,
@@ -170,6 +171,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="HOST:PORT",
         help=f"default: the daemon that runs here, as `tensormass run` starts it or at {DEFAULT_ADDRESS}",
     )
+    add_keys_argument(server)
 
     sub = commands.add_parser("run", help="daemon, scene, simulated haptic device and viewer in one")
     run.add_arguments(sub)
@@ -284,6 +286,10 @@ def _parser() -> argparse.ArgumentParser:
     hand.add_arguments(sub)
     sub.set_defaults(command=hand.run)
 
+    sub = commands.add_parser("keys", help="keys for daemons that other machines reach, and for their clients")
+    keys.add_arguments(sub, json_option)
+    sub.set_defaults(command=keys.run)
+
     sub = commands.add_parser("load-test", help="drive a daemon with real clients and measure")
     add_load_test_arguments(sub)
     sub.set_defaults(command=load_test.run)
@@ -298,7 +304,7 @@ def _version() -> str:
 
 
 def _load(args: argparse.Namespace) -> int:
-    with connect(find_server(args.server)) as server:
+    with connect(find_server(args.server), keys=args.keys) as server:
         progress = load_line(quiet=args.json)
         scene = Scene.from_file(args.scene)
         with _report_has_findings():
@@ -312,7 +318,7 @@ def _load(args: argparse.Namespace) -> int:
 
 
 def _unload(args: argparse.Namespace) -> int:
-    with connect(find_server(args.server)) as server:
+    with connect(find_server(args.server), keys=args.keys) as server:
         server.scene(args.name).unload()
         if args.json:
             print_json({"server": server.address, "unloaded": args.name})
@@ -322,7 +328,7 @@ def _unload(args: argparse.Namespace) -> int:
 
 
 def _list(args: argparse.Namespace) -> int:
-    with connect(find_server(args.server)) as server:
+    with connect(find_server(args.server), keys=args.keys) as server:
         scenes = server.scenes()
     if args.json:
         each = [{"scene": status.scene, "state": state_name(status), "step": status.step} for status in scenes]
@@ -337,7 +343,7 @@ def _list(args: argparse.Namespace) -> int:
 
 
 def _status(args: argparse.Namespace) -> int:
-    with connect(find_server(args.server)) as server:
+    with connect(find_server(args.server), keys=args.keys) as server:
         version = server.version()
         statuses = [server.scene(args.name).status()] if args.name else server.scenes()
     if args.json:
@@ -359,7 +365,7 @@ def _status(args: argparse.Namespace) -> int:
 
 
 def _report(args: argparse.Namespace) -> int:
-    with connect(find_server(args.server)) as server:
+    with connect(find_server(args.server), keys=args.keys) as server:
         path = server.scene(args.name).write_report(args.output)
         if args.json:
             print_json({"server": server.address, "output": str(path)})

@@ -6,9 +6,17 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from tensormass._src.launching import launch
 from tensormass._src.server import Server, connect
+
+
+def add_keys_argument(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    """Adds --keys."""
+    parser.add_argument(
+        "--keys", type=Path, metavar="FILE", help="this client's keys (`tensormass keys add`), if the daemon has keys"
+    )
 
 
 def add_daemon_arguments(
@@ -19,6 +27,7 @@ def add_daemon_arguments(
 ) -> None:
     """Adds --server, --backend and --cpu-threads. Without `threads_help` the command has no --cpu-threads."""
     parser.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
+    add_keys_argument(parser)
     parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help=backend_help)
     if threads_help is not None:
         parser.add_argument("--cpu-threads", type=int, metavar="N", help=threads_help)
@@ -27,6 +36,6 @@ def add_daemon_arguments(
 def daemon_of(args: argparse.Namespace, *, backend: str | None = None, zenoh: bool = False) -> Server:
     """Connects to the daemon at --server, or starts one. `backend` stands for --backend, if given."""
     if args.server:
-        return connect(args.server)
+        return connect(args.server, keys=args.keys)
     threads = getattr(args, "cpu_threads", None)
     return launch(backend=args.backend if backend is None else backend, cpu_threads=threads, zenoh=zenoh)

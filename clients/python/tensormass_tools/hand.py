@@ -135,7 +135,7 @@ def run(args: argparse.Namespace) -> int:
     if args.seconds is not None and not 0 < args.seconds < math.inf:
         raise InvalidArgumentError(f"--seconds {args.seconds:g}: must be positive and finite")
     script = HandScript.read(args.script)
-    with connect(find_server(args.server)) as server:
+    with connect(find_server(args.server), keys=args.keys) as server:
         scene = server.scene(args.scene)
         with scene.tool_stream(script.tool, args.transport, valid_for_s=VALID_FOR_S) as stream:
             start = now = time.monotonic()

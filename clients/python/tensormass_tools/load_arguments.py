@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
+from tensormass_tools.daemon_arguments import add_keys_argument
 from tensormass_tools.load_test import _MAX_TOOLS
 
 # The daemon's own limits (server/core/limits.h).
@@ -39,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="transport of haptic clients and viewers; mixed: every second one uses zenoh (default)",
     )
     parser.add_argument("--server", metavar="ADDR", help="a running daemon, host:port; without it one is started")
+    add_keys_argument(parser)
     parser.add_argument(
         "--backend", choices=("auto", "cpu", "cuda"), default="auto", help="backend of the daemon to start"
     )

@@ -77,7 +77,9 @@ def load_test(args: argparse.Namespace) -> Json:
     with contextlib.ExitStack() as undo:
         folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="tensormass-load-")))
         server = undo.enter_context(
-            connect(args.server) if args.server else launch(backend=args.backend, gpu_scenes=args.scenes)
+            connect(args.server, keys=args.keys)
+            if args.server
+            else launch(backend=args.backend, gpu_scenes=args.scenes)
         )
         undo.enter_context(end_explained(server.process, server.log_file))
         test = _LoadTest(args, server, folder, undo)
@@ -205,6 +207,9 @@ class _LoadTest:
             return str(self._args.transport)
         return "zenoh" if index % 2 else "zeromq"
 
+    def _keys(self) -> list[str | Path]:
+        return ["--keys", self._args.keys] if self._args.keys else []
+
     def _start(self, name: str, scene: SceneHandle, transport: str, command: Sequence[str | Path]) -> _Client:
         """Starts a client. Its command gets the names of its files from `_file`."""
         log_file = self._file(name, "log")
@@ -225,14 +230,14 @@ class _LoadTest:
             "--server",
             self._server.address,
         ]
-        command += ["--scene", scene.name, "--transport", transport]
+        command += ["--scene", scene.name, "--transport", transport, *self._keys()]
         command += ["--ready", self._file(name, "ready"), "--report", self._file(name, "report")]
         return self._start(name, scene, transport, command)
 
     def _start_haptic(self, index: int, scene: SceneHandle, tool: str, seconds: float) -> _Client:
         name, transport = f"haptic-{index}", self._transport(index)
         command: list[str | Path] = [find_program("tensormass-haptic", "TENSORMASS_HAPTIC")]
-        command += ["--server", self._server.address, "--scene", scene.name, "--tool", tool]
+        command += ["--server", self._server.address, "--scene", scene.name, "--tool", tool, *self._keys()]
         command += ["--transport", transport, "--seconds", str(seconds), "--json", self._file(name, "report")]
         return self._start(name, scene, transport, command)
 

@@ -23,6 +23,7 @@ from tensormass._src.errors import DeadlineExceededError, TensormassError
 from tensormass._src.scene_handle import SceneHandle
 from tensormass._src.server import connect
 from tensormass.v1 import stream_pb2
+from tensormass_tools.daemon_arguments import add_keys_argument
 
 _FAULTED = stream_pb2.SceneStatus.STATE_FAULTED
 
@@ -45,6 +46,7 @@ def main(argv: list[str] | None = None) -> int:
     """Runs the viewer. Returns 0 if every frame was whole."""
     parser = argparse.ArgumentParser(description="one viewer of a load test")
     parser.add_argument("--server", required=True)
+    add_keys_argument(parser)
     parser.add_argument("--scene", required=True)
     parser.add_argument("--transport", choices=("zeromq", "zenoh"), required=True)
     parser.add_argument("--ready", type=Path, required=True)
@@ -55,7 +57,7 @@ def main(argv: list[str] | None = None) -> int:
     skipped_while_joining = 0
     signal.signal(signal.SIGTERM, _stop)
     try:
-        with connect(args.server) as server:
+        with connect(args.server, keys=args.keys) as server:
             scene = server.scene(args.scene)
             vertex_count = sum(body.vertex_count for body in scene.topology().bodies)
             stream = scene.frames(args.transport)

@@ -49,6 +49,11 @@ struct SessionOptions {
   /// answer nobody, and get only what this session puts and retains under `serve`. Empty: no rule holds, and peers
   /// speak to each other through this session.
   std::string accept = {};
+  /// zenoh's access control as JSON, in place of the rules of `accept` (access_control.h). Empty: those rules.
+  std::string access_control = {};
+  /// PEM texts for mutual TLS: who signs the peers' certificates, and the own certificate and key. Addresses are then
+  /// written tls/HOST:PORT. Empty: no TLS.
+  std::string authority = {}, certificate = {}, private_key = {};
   /// Peers connected at once; a further one is refused. 0: zenoh's own limit, 1000.
   std::uint32_t max_sessions = 0;
   /// Bytes of a message of a peer; a larger one is dropped before it is held. A message that zenoh sends in one piece,
@@ -97,6 +102,10 @@ class Session {
                                        .connect = options.connect.c_str(),
                                        .serve = options.serve.c_str(),
                                        .accept = options.accept.c_str(),
+                                       .access_control = options.access_control.c_str(),
+                                       .authority = options.authority.c_str(),
+                                       .certificate = options.certificate.c_str(),
+                                       .private_key = options.private_key.c_str(),
                                        .max_sessions = options.max_sessions,
                                        .max_message_bytes = options.max_message_bytes,
                                        .shared_memory = options.shared_memory};

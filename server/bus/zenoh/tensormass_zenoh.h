@@ -35,6 +35,13 @@ typedef struct {
    * this session puts and retains under `serve`. "": no rule holds, and peers speak to each other through this session.
    */
   const char* accept;
+  /* zenoh's access control as JSON, in place of the rules of `accept`; "": those rules. */
+  const char* access_control;
+  /* PEM texts for mutual TLS: who signs the peers' certificates, and the own certificate and key. Addresses are then
+   * written tls/HOST:PORT. "": no TLS. */
+  const char* authority;
+  const char* certificate;
+  const char* private_key;
   /* Peers connected at once, and the bytes of a message of a peer; what is beyond is refused before it is held. A
    * message that zenoh sends in one piece, below 64 KiB, passes whatever the limit. 0: zenoh's own limits, 1000 and
    * 1 GiB. */

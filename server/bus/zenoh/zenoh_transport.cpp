@@ -1,35 +1,112 @@
 #include "bus/zenoh/zenoh_transport.h"
 
+#include <chrono>
+#include <thread>
 #include <utility>
 
 #include "bus/keys.h"
+#include "bus/zenoh/access_control.h"
 #include "core/bus_limits.h"
+#include "core/log.h"
 
 namespace tensormass::bus {
+namespace {
+
+/// Attempts to listen again at the address of the session before, and the time between two.
+constexpr int kReopenAttempts = 20;
+constexpr std::chrono::milliseconds kReopenPause{100};
+
+/// tcp/HOST:PORT, as users write it, is tls/HOST:PORT with keys.
+std::string with_tls(const std::string& locator) {
+  constexpr std::string_view kPlain = "tcp/";
+  return locator.starts_with(kPlain) ? "tls/" + locator.substr(kPlain.size()) : locator;
+}
+
+}  // namespace
+
+ZenohTransport::ZenohTransport(ZenohOptions options, PoseInput& input) : options_(std::move(options)), input_(input) {}
 
 Result<std::unique_ptr<ZenohTransport>> ZenohTransport::open(const ZenohOptions& options, PoseInput& input) {
-  auto session = zenoh::Session::open({.listen = options.listen,
-                                       .connect = {},
-                                       .serve = std::string(kKeyRoot) + "/" + options.server + "/**",
-                                       .accept = pose_key(options.server, "*", "*"),
-                                       .max_sessions = options.max_sessions,
-                                       .max_message_bytes = limits::kMaxZenohMessageBytes,
-                                       .shared_memory = true});
-  if (!session) return tl::make_unexpected(session.error());
-  std::unique_ptr<ZenohTransport> transport(new ZenohTransport(std::move(*session)));
-  auto poses = transport->session_.subscribe(
-      pose_key(options.server, "*", "*"),
-      [&input](std::string_view key, std::string_view payload) { input.receive(key, payload); });
-  if (!poses) return tl::make_unexpected(poses.error());
-  transport->poses_ = std::move(*poses);
+  std::unique_ptr<ZenohTransport> transport(new ZenohTransport(options, input));
+  if (options.keys != nullptr) {
+    transport->options_.listen = with_tls(options.listen);
+    transport->access_control_ = zenoh_access_control(options.server, options.keys->list());
+  }
+  TM_RETURN_IF_ERROR(transport->open_session());
+  transport->locator_ = transport->session_->locator();
   return transport;
 }
 
-void ZenohTransport::publish(const MessagePtr& message, PublishOptions options) {
-  if (options.retain) session_.retain(message->key(), message->payload());
-  session_.put(message->key(), message->payload(), options.urgent);
+Result<void> ZenohTransport::open_session() {
+  zenoh::SessionOptions wanted{.listen = locator_.empty() ? options_.listen : locator_,
+                               .serve = std::string(kKeyRoot) + "/" + options_.server + "/**",
+                               .accept = pose_key(options_.server, "*", "*"),
+                               .access_control = access_control_,
+                               .max_sessions = options_.max_sessions,
+                               .max_message_bytes = limits::kMaxZenohMessageBytes,
+                               // Whoever has an account on this machine can read shared memory.
+                               .shared_memory = options_.keys == nullptr};
+  if (options_.keys != nullptr) {
+    const access::DaemonKeys& own = options_.keys->daemon();
+    wanted.authority = own.authority_pem;
+    wanted.certificate = own.certificate_pem;
+    wanted.private_key = own.private_key_pem;
+  }
+  TM_ASSIGN_OR_RETURN(session, zenoh::Session::open(wanted));
+  session_.emplace(std::move(session));
+  TM_ASSIGN_OR_RETURN(poses, session_->subscribe(pose_key(options_.server, "*", "*"),
+                                                 [this](std::string_view key, std::string_view payload) {
+                                                   input_.receive(key, payload);
+                                                 }));
+  poses_ = std::move(poses);
+  return {};
 }
 
-void ZenohTransport::forget(std::string_view key) { session_.forget(key); }
+void ZenohTransport::publish(const MessagePtr& message, PublishOptions options) {
+  if (options_.keys == nullptr) return put(message, options);
+  const std::lock_guard lock(retained_mutex_);
+  if (options.retain) retained_.insert_or_assign(std::string(message->key()), message);
+  // While the session is opened again, which takes a moment, nobody is connected who could miss the message.
+  const std::shared_lock open(session_mutex_, std::try_to_lock);
+  if (open.owns_lock() && session_) put(message, options);
+}
+
+void ZenohTransport::put(const MessagePtr& message, PublishOptions options) {
+  if (options.retain) session_->retain(message->key(), message->payload());
+  session_->put(message->key(), message->payload(), options.urgent);
+}
+
+void ZenohTransport::forget(std::string_view key) {
+  if (options_.keys == nullptr) return session_->forget(key);
+  const std::lock_guard lock(retained_mutex_);
+  if (const auto found = retained_.find(key); found != retained_.end()) retained_.erase(found);
+  const std::shared_lock open(session_mutex_, std::try_to_lock);
+  if (open.owns_lock() && session_) session_->forget(key);
+}
+
+void ZenohTransport::keys_changed() {
+  if (options_.keys == nullptr) return;
+  std::string rules = zenoh_access_control(options_.server, options_.keys->list());
+  if (rules == access_control_) return;
+  access_control_ = std::move(rules);
+  {
+    const std::unique_lock closed(session_mutex_);
+    poses_ = {};
+    session_.reset();
+    for (int attempt = 1;; ++attempt) {
+      const auto opened = open_session();
+      if (opened) break;
+      session_.reset();
+      if (attempt == kReopenAttempts) {
+        access_control_.clear();  // so that the next change tries again
+        return log::error("zenoh is off", {{"reason", opened.error().message}});
+      }
+      std::this_thread::sleep_for(kReopenPause);
+    }
+  }
+  const std::lock_guard lock(retained_mutex_);
+  const std::shared_lock open(session_mutex_);
+  for (const auto& [key, message] : retained_) session_->retain(key, message->payload());
+}
 
 }  // namespace tensormass::bus

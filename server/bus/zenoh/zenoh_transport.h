@@ -1,7 +1,11 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <memory>
+#include <mutex>
+#include <optional>
+#include <shared_mutex>
 #include <string>
 #include <string_view>
 
@@ -20,6 +24,8 @@ struct ZenohOptions {
   std::string listen;
   /// Clients connected at once; a further one is refused.
   std::uint32_t max_sessions = limits::kDefaultZenohSessions;
+  /// Who may connect, subscribe and put; must outlive the transport. nullptr: everybody, in plain text.
+  const access::KeyRing* keys = nullptr;
 };
 
 /// Streams and poses over zenoh, under the same keys and with the same protobuf bytes as over ZeroMQ.
@@ -28,6 +34,10 @@ struct ZenohOptions {
 /// control refuses the rest, whatever address the client comes from. A late joiner asks for a retained message with
 /// zenoh's `get` of its key. Poses arrive on zenoh's threads, which call `input` directly. session.h says what is
 /// dropped and who waits.
+///
+/// With keys, zenoh speaks TLS, and its access control is the table of access/rules.h (access_control.h). zenoh reads
+/// its rules once, when a session opens. When other clients count, the session is therefore closed and opened again at
+/// its address. Clients connect again by themselves.
 class ZenohTransport final : public Transport {
  public:
   /// `input` must outlive the transport. Fails with kUnavailable if `listen` cannot be listened on.
@@ -35,15 +45,26 @@ class ZenohTransport final : public Transport {
 
   void publish(const MessagePtr& message, PublishOptions options) override;
   void forget(std::string_view key) override;
+  /// Opens the session again if the rules are others now. Called on one thread.
+  void keys_changed() override;
 
   /// The address that clients connect to, with the port that was chosen.
   const std::string& locator() const { return locator_; }
 
  private:
-  explicit ZenohTransport(zenoh::Session session) : session_(std::move(session)), locator_(session_.locator()) {}
+  ZenohTransport(ZenohOptions options, PoseInput& input);
+  Result<void> open_session();
+  void put(const MessagePtr& message, PublishOptions options);
 
-  zenoh::Session session_;
+  ZenohOptions options_;
+  PoseInput& input_;
   std::string locator_;
+  std::string access_control_;
+  // With keys only: the messages that a new session must retain, and who may open one. Lock them in this order.
+  std::mutex retained_mutex_;
+  std::map<std::string, MessagePtr, std::less<>> retained_;
+  std::shared_mutex session_mutex_;
+  std::optional<zenoh::Session> session_;
   // After `session_`, because a subscriber must be destroyed before its session.
   zenoh::Subscriber poses_;
 };

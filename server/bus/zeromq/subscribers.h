@@ -8,6 +8,7 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include <zmq.hpp>
 
@@ -37,6 +38,8 @@ class Subscribers {
     /// The same for all requests of a connection, and for those of no other connection whose requests are kept.
     const void* id;
     int descriptor;
+    /// Id of the client, with keys.
+    std::string_view client = {};
   };
   enum class Verdict {
     kAccepted,
@@ -92,6 +95,20 @@ class Subscribers {
       if (peer.gone) clean_after_ = now + kLeftover;
     }
   }
+  /// Refuses the peers whose client does not count any more, and returns their descriptors.
+  /// counts: bool(std::string_view client)
+  template <class Counts>
+  std::vector<int> refuse_removed(const Counts& counts) {
+    std::vector<int> descriptors;
+    for (const auto& [descriptor, id] : by_descriptor_) {
+      Peer& peer = peers_.at(id);
+      if (peer.refused || counts(peer.client)) continue;
+      peer.subscriptions.clear();
+      peer.refused = true;
+      descriptors.push_back(descriptor);
+    }
+    return descriptors;
+  }
   std::size_t peer_count() const { return peers_.size(); }
 
  private:
@@ -103,6 +120,7 @@ class Subscribers {
     // kept, no other connection gets the id.
     zmq::message_t kept;
     std::set<std::string, std::less<>> subscriptions;
+    std::string client;
     bool refused = false;
     std::optional<Time> gone;
   };
@@ -111,6 +129,7 @@ class Subscribers {
     const auto [found, added] = peers_.try_emplace(from.id);
     if (added) {
       found->second.kept.copy(request);
+      found->second.client = from.client;
       by_descriptor_.insert_or_assign(from.descriptor, from.id);
     }
     return found->second;

@@ -14,7 +14,9 @@
 #include <new>
 #include <string>
 #include <utility>
+#include <vector>
 
+#include "bus/keys.h"
 #include "core/bus_limits.h"
 #include "core/limits.h"
 
@@ -37,8 +39,10 @@ constexpr int kRequestsPerTurn = 256;
 /// Requests of one subscriber that ZeroMQ queues. It moves a whole queue at once to where it has no limit, and goes on
 /// while the queue fills again, so the queue is short.
 constexpr int kRequestQueue = 64;
-/// Any name does: ZeroMQ then refuses ZMTP 1 and 2. No handler is registered for it, and none is needed.
+/// Any name does: ZeroMQ then refuses ZMTP 1 and 2. Without keys no handler is registered for it, and none is needed.
 constexpr const char* kZapDomain = "tensormass";
+constexpr const char* kZapEndpoint = "inproc://zeromq.zap.01";
+constexpr std::size_t kCurveKeyBytes = 32;
 constexpr auto kRetainedPeriod = std::chrono::duration_cast<std::chrono::steady_clock::duration>(
     std::chrono::duration<double>(limits::kRetainedPeriodS));
 
@@ -98,6 +102,8 @@ Result<std::unique_ptr<ZeroMqTransport>> ZeroMqTransport::open(const ZeroMqOptio
 
 ZeroMqTransport::ZeroMqTransport(const ZeroMqOptions& options, PoseInput& input)
     : input_(input),
+      keys_(options.keys),
+      server_(options.server),
       publisher_(context_, zmq::socket_type::xpub),
       publisher_monitor_(context_, publisher_, "publisher"),
       subscribers_(options.server),
@@ -115,6 +121,15 @@ ZeroMqTransport::ZeroMqTransport(const ZeroMqOptions& options, PoseInput& input)
   poses_.set(zmq::sockopt::linger, 0);
   poses_.set(zmq::sockopt::maxmsgsize, kMaxInputBytes);
   for (zmq::socket_t* socket : {&publisher_, &poses_}) socket->set(zmq::sockopt::handshake_ivl, kHandshakeMs);
+  if (keys_ == nullptr) return;
+  authenticator_.emplace(context_, zmq::socket_type::rep);
+  authenticator_->set(zmq::sockopt::linger, 0);
+  authenticator_->bind(kZapEndpoint);
+  for (zmq::socket_t* socket : {&publisher_, &poses_}) {
+    socket->set(zmq::sockopt::zap_domain, kZapDomain);
+    socket->set(zmq::sockopt::curve_server, true);
+    socket->set(zmq::sockopt::curve_secretkey, keys_->daemon().curve_secret);
+  }
 }
 
 ZeroMqTransport::~ZeroMqTransport() {
@@ -170,7 +185,9 @@ void ZeroMqTransport::serve_request(zmq::message_t& request) {
   const std::string_view bytes = request.to_string_view();
   // The ends of subscriptions that follow from the end of a connection come without a connection. ZeroMQ keeps the text
   // of the descriptor once for each connection, so its place is an id.
-  const Subscribers::Connection from{zmq_msg_gets(request.handle(), "__fd"), zmq_msg_get(request.handle(), ZMQ_SRCFD)};
+  const char* const client = keys_ != nullptr ? zmq_msg_gets(request.handle(), "User-Id") : nullptr;
+  const Subscribers::Connection from{zmq_msg_gets(request.handle(), "__fd"), zmq_msg_get(request.handle(), ZMQ_SRCFD),
+                                     client != nullptr ? client : ""};
   if (from.id == nullptr) return;
   // ZeroMQ's format: byte 1 and a prefix subscribes, byte 0 and a prefix ends the subscription.
   if (bytes.empty() || bytes.front() > 1 || request.more()) {
@@ -181,6 +198,14 @@ void ZeroMqTransport::serve_request(zmq::message_t& request) {
   }
   const std::string_view prefix = bytes.substr(1);
   if (bytes.front() == 0) return subscribers_.unsubscribe(from, prefix);
+  if (keys_ != nullptr && prefix.ends_with('\0') && !may_subscribe(from.client, prefix.substr(0, prefix.size() - 1))) {
+    if (subscribers_.refuse(from, request)) {
+      disconnect(from.descriptor,
+                 "a subscription that its client's key does not allow, on the ZeroMQ publish endpoint; its client was "
+                 "disconnected");
+    }
+    return;
+  }
   switch (subscribers_.subscribe(from, request, prefix)) {
     case Subscribers::Verdict::kIgnored:
       return;
@@ -243,11 +268,13 @@ void ZeroMqTransport::wake_receiver() {
 void ZeroMqTransport::receive_loop() {
   const int subscriptions = publisher_.get(zmq::sockopt::fd);
   const int connections = publisher_monitor_.events.get(zmq::sockopt::fd);
-  std::array<zmq::pollitem_t, 5> items{{{poses_.handle(), 0, ZMQ_POLLIN, 0},
+  std::array<zmq::pollitem_t, 6> items{{{poses_.handle(), 0, ZMQ_POLLIN, 0},
                                         {nullptr, subscriptions, ZMQ_POLLIN, 0},
                                         {nullptr, connections, ZMQ_POLLIN, 0},
                                         {poses_monitor_.events.handle(), 0, ZMQ_POLLIN, 0},
-                                        {nullptr, wake_event_, ZMQ_POLLIN, 0}}};
+                                        {nullptr, wake_event_, ZMQ_POLLIN, 0},
+                                        {nullptr, wake_event_, 0, 0}}};
+  if (authenticator_) items[5] = {authenticator_->handle(), 0, ZMQ_POLLIN, 0};
   const zmq::pollitem_t &poses = items[0], &subscribed = items[1], &connected = items[2], &wake = items[4];
   while (true) {
     const bool time_is_up = zmq::poll(items.data(), items.size(), sleep_time()) == 0;
@@ -257,12 +284,14 @@ void ZeroMqTransport::receive_loop() {
       eventfd_read(wake_event_, &count);
     }
     try {
+      if (authenticator_) authenticate();
       if (poses.revents != 0) receive_poses();
       count_handshakes(poses_monitor_);
       if (!time_is_up && subscribed.revents == 0 && connected.revents == 0 && wake.revents == 0) continue;
       const std::lock_guard lock(mutex_);
       serve_subscriptions();
       count_handshakes(publisher_monitor_);
+      if (keys_changed_.exchange(false)) cut_removed();
     } catch (const std::bad_alloc&) {
       // What could not be served is dropped; the thread must go on.
     }
@@ -273,11 +302,62 @@ void ZeroMqTransport::receive_poses() {
   zmq::message_t message;
   for (int count = 0; count < kPosesPerTurn && poses_.recv(message, zmq::recv_flags::dontwait); ++count) {
     if (!message.more()) {
-      input_.receive_framed(message.to_string_view());
+      const char* const sender = keys_ != nullptr ? zmq_msg_gets(message.handle(), "User-Id") : nullptr;
+      input_.receive_framed(message.to_string_view(), sender != nullptr ? sender : "");
+      if (sender != nullptr && keys_->find(sender) == nullptr) {
+        const int descriptor = zmq_msg_get(message.handle(), ZMQ_SRCFD);
+        if (is_at(descriptor, pose_endpoint_)) shutdown(descriptor, SHUT_RDWR);
+      }
       continue;
     }
     while (message.more() && poses_.recv(message, zmq::recv_flags::dontwait)) continue;
     input_.refuse({}, "more than one frame, on the ZeroMQ pose endpoint");
+  }
+}
+
+void ZeroMqTransport::keys_changed() {
+  const std::lock_guard lock(mutex_);
+  keys_changed_ = true;
+  eventfd_write(wake_event_, 1);
+}
+
+void ZeroMqTransport::cut_removed() {
+  const auto counts = [this](std::string_view client) { return keys_->find(client) != nullptr; };
+  for (const int descriptor : subscribers_.refuse_removed(counts)) {
+    disconnect(descriptor, "a subscriber whose key was removed or has expired; it was disconnected");
+  }
+}
+
+bool ZeroMqTransport::may_subscribe(std::string_view id, std::string_view key) const {
+  const auto address = parse_stream_key(server_, key);
+  const access::ClientPtr client = keys_->find(id);
+  return address && client != nullptr &&
+         access::allows(access::find_rule(access::kStreams, address->stream), client->subject(), address->scene,
+                        address->tool);
+}
+
+void ZeroMqTransport::authenticate() {
+  // A question: version, number, domain, address, identity, mechanism, key of 32 bytes. An answer: version, number,
+  // status, text, user id, metadata.
+  std::vector<zmq::message_t> question;
+  while (true) {
+    question.clear();
+    do {
+      if (!authenticator_->recv(question.emplace_back(), zmq::recv_flags::dontwait)) return;
+    } while (question.back().more());
+    access::ClientPtr client;
+    if (question.size() == 7 && question[5].to_string_view() == "CURVE" && question[6].size() == kCurveKeyBytes) {
+      std::array<char, 5 * kCurveKeyBytes / 4 + 1> text{};
+      zmq_z85_encode(text.data(), question[6].data<std::uint8_t>(), kCurveKeyBytes);
+      client = keys_->find_curve(text.data());
+    }
+    const std::string_view number = question.size() > 1 ? question[1].to_string_view() : "";
+    const std::string_view id = client != nullptr ? std::string_view(client->id) : "";
+    std::array<std::string_view, 6> answer{"1.0", number, client != nullptr ? "200" : "400", "", id, ""};
+    for (std::size_t i = 0; i < answer.size(); ++i) {
+      const auto flags = i + 1 < answer.size() ? zmq::send_flags::sndmore : zmq::send_flags::none;
+      authenticator_->send(zmq::buffer(answer[i]), flags | zmq::send_flags::dontwait);
+    }
   }
 }
 

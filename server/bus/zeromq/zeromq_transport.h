@@ -28,6 +28,8 @@ struct ZeroMqOptions {
   /// "ipc:///run/user/1000/tensormass".
   std::string publish_endpoint;
   std::string pose_endpoint;
+  /// Who may connect, subscribe and push; must outlive the transport. nullptr: everybody, in plain text.
+  const access::KeyRing* keys = nullptr;
 };
 
 /// Streams to clients and poses from clients over ZeroMQ, on one socket each.
@@ -42,6 +44,7 @@ struct ZeroMqOptions {
 ///     receiver thread, too:
 ///     PUSH sockets of clients ──> PULL socket ──> receive_poses() ──> PoseInput
 ///     monitors of both sockets ──> count_handshakes() ──> PoseInput::refuse
+///     authenticator_, with keys: ZeroMQ asks by ZAP whether a CURVE key is let in ──> authenticate()
 ///     wake_event_ ──> a repetition of a retained message is due later, requests are left, or the thread must end
 ///
 /// Four choices, each with its reason:
@@ -65,6 +68,7 @@ class ZeroMqTransport final : public Transport {
 
   void publish(const MessagePtr& message, PublishOptions options) override;
   void forget(std::string_view key) override;
+  void keys_changed() override;
 
   /// The addresses that clients connect to, with the ports that were chosen.
   const std::string& publish_endpoint() const { return publish_endpoint_; }
@@ -87,6 +91,12 @@ class ZeroMqTransport final : public Transport {
   ZeroMqTransport(const ZeroMqOptions& options, PoseInput& input);
   /// Runs on the receiver thread until stopping_.
   void receive_loop();
+  /// Answers ZeroMQ's questions whether a client is let in (ZAP, rfc.zeromq.org/spec/27).
+  void authenticate();
+  /// Disconnects subscribers whose keys do not count any more. The caller must hold mutex_.
+  void cut_removed();
+  /// Whether a client may subscribe to a key.
+  bool may_subscribe(std::string_view client, std::string_view key) const;
   /// Passes at most kPosesPerTurn poses to `input_`.
   void receive_poses();
   /// Reads the monitor's events and refuses each peer that failed the handshake.
@@ -109,6 +119,8 @@ class ZeroMqTransport final : public Transport {
   void send(const MessagePtr& message);
 
   PoseInput& input_;
+  const access::KeyRing* const keys_;
+  const std::string server_;
   zmq::context_t context_{1};
   std::mutex mutex_;
   // Guarded by mutex_.
@@ -120,13 +132,14 @@ class ZeroMqTransport final : public Transport {
   std::optional<std::chrono::steady_clock::time_point> next_repeat_;
   bool receiver_woken_ = false;
   // Receiver thread only.
+  std::optional<zmq::socket_t> authenticator_;
   zmq::socket_t poses_;
   Monitor poses_monitor_;
 
   std::string publish_endpoint_;
   std::string pose_endpoint_;
   int wake_event_ = -1;  // eventfd
-  std::atomic<bool> stopping_{false};
+  std::atomic<bool> stopping_{false}, keys_changed_{false};
   std::thread receiver_;
 };
 

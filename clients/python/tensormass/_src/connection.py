@@ -8,6 +8,7 @@ from typing import Any
 import grpc
 
 from tensormass._src import errors
+from tensormass._src.client_keys import ClientKeys, KeysSource, channel_options, keys_of
 from tensormass._src.data_plane import DataPlane
 from tensormass._src.endpoints import reached_endpoints
 from tensormass._src.streams import Closing
@@ -20,35 +21,50 @@ CALL_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 300.0
 
 
+def _no_answer(address: str, keys: ClientKeys | None) -> str:
+    if keys is None:
+        return (
+            f"no daemon answers on {address}; start one with `tensormass run`, `tensormassd` or tm.launch(). If it was "
+            "started with --keys, give your file of keys: connect(..., keys=FILE), --keys FILE"
+        )
+    return (
+        f"no daemon on {address} takes the keys {keys.path} ({keys.id}). Is it started, with --keys? The keys may have "
+        "been removed, or belong to another daemon: `tensormass keys list` says who has keys there"
+    )
+
+
 class Connection(Closing):
     """Makes calls to one daemon. Close it, or use it as a context manager."""
 
-    def __init__(self, address: str, *, timeout_s: float = 5.0) -> None:
+    def __init__(self, address: str, *, timeout_s: float = 5.0, keys: KeysSource | None = None) -> None:
         if ":" not in address:
             raise errors.InvalidArgumentError(
                 f"address {address!r}: has no port; write HOST:PORT, as in {address}:50051"
             )
         #: Address of the control plane, host:port.
         self.address = address
+        #: Keys of this client; None: the daemon asks for none.
+        self.keys = keys_of(keys)
         self._cleanup = contextlib.ExitStack()
         self._closed = False
-        self._channel = grpc.insecure_channel(
-            address,
-            options=[
-                ("grpc.max_send_message_length", _MAX_MESSAGE_BYTES),
-                ("grpc.max_receive_message_length", _MAX_MESSAGE_BYTES),
-                ("grpc.enable_http_proxy", 0),  # the data plane does not use a proxy either
-            ],
-        )
+        options = [
+            ("grpc.max_send_message_length", _MAX_MESSAGE_BYTES),
+            ("grpc.max_receive_message_length", _MAX_MESSAGE_BYTES),
+            ("grpc.enable_http_proxy", 0),  # the data plane does not use a proxy either
+        ]
+        if self.keys is None:
+            self._channel = grpc.insecure_channel(address, options=options)
+        else:
+            self._channel = grpc.secure_channel(
+                address, self.keys.channel_credentials(), options=channel_options(self.keys, options)
+            )
         self._stub = control_pb2_grpc.ControlStub(self._channel)
         try:
             grpc.channel_ready_future(self._channel).result(timeout_s)
-            self._data_plane = DataPlane(self.version())
+            self._data_plane = DataPlane(self.version(), self.keys)
         except grpc.FutureTimeoutError:
             self._channel.close()
-            raise errors.UnavailableError(
-                f"no daemon answers on {address}; start one with `tensormass run`, `tensormassd` or tm.launch()"
-            ) from None
+            raise errors.UnavailableError(_no_answer(address, self.keys)) from None
         except BaseException:
             self._channel.close()
             raise

@@ -17,6 +17,7 @@ import zenoh
 import zenoh.handlers
 import zmq
 
+from tensormass._src.client_keys import ClientKeys, guard_socket
 from tensormass._src.errors import (
     InvalidArgumentError,
     UnavailableError,
@@ -33,8 +34,9 @@ _MAX_MESSAGE_BYTES = 1 << 30
 class DataPlane(Closing):
     """Streams of a daemon. Opens a transport when it is first used."""
 
-    def __init__(self, version: control_pb2.GetVersionResponse) -> None:
+    def __init__(self, version: control_pb2.GetVersionResponse, keys: ClientKeys | None = None) -> None:
         self.server = version.server
+        self._keys = keys
         self._version = version
         self._zenoh: zenoh.Session | None = None
         self._end_zenoh: Callable[[], object] | None = None
@@ -92,6 +94,8 @@ class DataPlane(Closing):
                 config.insert_json5("mode", '"client"')
                 config.insert_json5("connect/endpoints", json.dumps([self._version.zenoh_locator]))
                 config.insert_json5("scouting/multicast/enabled", "false")
+                if self._keys is not None:
+                    self._keys.guard_zenoh(config)
                 try:
                     self._zenoh = zenoh.open(config)
                 except zenoh.ZError as error:
@@ -129,7 +133,9 @@ class DataPlane(Closing):
             self.check_open()
             if self._zeromq is None:
                 self._zeromq = zmq.Context()
-            return self._zeromq.socket(kind)
+            socket = self._zeromq.socket(kind)
+            guard_socket(self._keys, socket)
+            return socket
 
 
 def _check_transport(transport: str) -> None:

@@ -10,6 +10,7 @@ from tensormass._src.errors import NotFoundError
 #: [extra of pyproject.toml]: its packages, [name in messages]: name of its module.
 EXTRAS = {
     "desktop": {"pyvista": "pyvista"},
+    "keys": {"cryptography": "cryptography"},
     "meshes": {"lz4": "lz4"},
     "modes": {"scikit-fem": "skfem", "SciPy": "scipy"},
     "organs": {"scikit-image": "skimage", "SciPy": "scipy", "pytetwild": "pytetwild"},

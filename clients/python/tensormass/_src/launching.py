@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tensormass._src import errors
+from tensormass._src.client_keys import KeysSource
 from tensormass._src.processes import ChildProcess, find_program
 from tensormass._src.server import Server
 
@@ -22,6 +23,7 @@ def launch(
     control: str = "127.0.0.1:0",
     zenoh: bool = True,
     options: Sequence[str] = (),
+    keys: KeysSource | None = None,
     timeout_s: float = 20.0,
 ) -> Server:
     """Starts a daemon on free loopback ports. It ends with the `Server`, or with this process.
@@ -35,6 +37,7 @@ def launch(
             was restarted.
         zenoh: True publishes the streams over zenoh as well as ZeroMQ.
         options: further flags of `tensormassd`.
+        keys: of this client, for a daemon whose options have --keys.
 
     Raises:
         NotFoundError: `tensormassd` is not in $TENSORMASSD, the installed wheel, the checkout's build/bin or PATH.
@@ -55,7 +58,7 @@ def launch(
             process = ChildProcess([*args, *options], output=log)
         undo.callback(process.stop)
         address = _wait_until_ready(process, ready_file, log_file, timeout_s)
-        server = Server(address, timeout_s=timeout_s, process=process, log_file=log_file)
+        server = Server(address, timeout_s=timeout_s, process=process, log_file=log_file, keys=keys)
         server.at_close(undo.pop_all())
         return server
 

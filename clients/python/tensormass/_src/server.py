@@ -8,6 +8,7 @@ from pathlib import Path
 import grpc
 
 from tensormass._src import errors, findings, notebook
+from tensormass._src.client_keys import KeysSource
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
 from tensormass._src.processes import ChildProcess
 from tensormass._src.scene import Scene
@@ -18,14 +19,17 @@ DEFAULT_ADDRESS = "127.0.0.1:50051"
 SceneSource = str | Path | Scene | scene_pb2.Scene
 
 
-def connect(address: str = DEFAULT_ADDRESS, *, timeout_s: float = 5.0) -> Server:
+def connect(address: str = DEFAULT_ADDRESS, *, timeout_s: float = 5.0, keys: KeysSource | None = None) -> Server:
     """Connects to the daemon whose control plane listens on `address` (host:port).
 
+    Args:
+        keys: the file that `tensormass keys add` wrote, for a daemon that was started with --keys.
+
     Raises:
-        InvalidArgumentError: the address has no port.
+        InvalidArgumentError: the address has no port, or the keys cannot be used.
         UnavailableError: no daemon answers there within `timeout_s`.
     """
-    return Server(address, timeout_s=timeout_s)
+    return Server(address, timeout_s=timeout_s, keys=keys)
 
 
 class Server(Connection):
@@ -38,8 +42,9 @@ class Server(Connection):
         timeout_s: float = 5.0,
         process: ChildProcess | None = None,
         log_file: Path | None = None,
+        keys: KeysSource | None = None,
     ) -> None:
-        super().__init__(address, timeout_s=timeout_s)
+        super().__init__(address, timeout_s=timeout_s, keys=keys)
         #: Process of the daemon; None unless `launch` started it.
         self.process = process
         #: Log file of the daemon; None unless `launch` started it.

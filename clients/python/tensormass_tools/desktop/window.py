@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         check_writable("--screenshot", args.screenshot)
     elif sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InvalidArgumentError("--desktop: there is no screen (DISPLAY is not set); --screenshot needs none")
-    with connect(find_server(args.server)) as server:
+    with connect(find_server(args.server), keys=args.keys) as server:
         handle, known = _find_scene(server, args.scene)
         first = handle.frame()
         rest_m = _rest_of(known, first)

@@ -11,6 +11,7 @@ use std::net::TcpListener;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use base64::Engine;
 use zenoh::bytes::ZBytes;
 use zenoh::key_expr::{KeyExpr, OwnedKeyExpr};
 use zenoh::pubsub::Subscriber as ZenohSubscriber;
@@ -50,11 +51,11 @@ impl Callback {
 /// Replaces port 0 by a port that is free now. zenoh could choose one itself, but does not report it for loopback
 /// addresses. Another process may take the port before zenoh does; `open` then tries again.
 fn concrete_locator(locator: &str) -> Result<String, Failure> {
-    let Some(host) = locator.strip_prefix("tcp/").and_then(|address| address.strip_suffix(":0")) else {
+    let Some((protocol, host)) = locator.strip_suffix(":0").and_then(|address| address.split_once('/')) else {
         return Ok(locator.to_owned());
     };
     let port = TcpListener::bind(format!("{host}:0"))?.local_addr()?.port();
-    Ok(format!("tcp/{host}:{port}"))
+    Ok(format!("{protocol}/{host}:{port}"))
 }
 
 /// What a session asks for: `tensormass_zenoh_options` in the header, as text.
@@ -63,6 +64,10 @@ struct Options<'a> {
     connect: &'a str,
     serve: &'a str,
     accept: &'a str,
+    access_control: &'a str,
+    authority: &'a str,
+    certificate: &'a str,
+    private_key: &'a str,
     max_sessions: u32,
     max_message_bytes: u32,
     shared_memory: bool,
@@ -107,11 +112,28 @@ fn configure(options: &Options, listen: &str) -> Result<Config, Failure> {
     if options.max_message_bytes > 0 {
         limits.push(("transport/link/rx/max_message_size", options.max_message_bytes.to_string()));
     }
-    if !options.accept.is_empty() {
+    // Rules by keys replace those by `accept`. Nothing else does: a session that accepts puts has rules.
+    if !options.access_control.is_empty() {
+        limits.push(("access_control", options.access_control.to_owned()));
+    } else if !options.accept.is_empty() {
         limits.push(("access_control", access_control(options.serve, options.accept)));
     }
+    if !options.authority.is_empty() {
+        let base64 = |pem: &str| serde_json::json!(base64::engine::general_purpose::STANDARD.encode(pem)).to_string();
+        let [certificate, key] = if listen.is_empty() {
+            ["transport/link/tls/connect_certificate_base64", "transport/link/tls/connect_private_key_base64"]
+        } else {
+            ["transport/link/tls/listen_certificate_base64", "transport/link/tls/listen_private_key_base64"]
+        };
+        limits.push(("transport/link/tls/root_ca_certificate_base64", base64(options.authority)));
+        limits.push((certificate, base64(options.certificate)));
+        limits.push((key, base64(options.private_key)));
+        limits.push(("transport/link/tls/enable_mtls", "true".to_owned()));
+        limits.push(("transport/link/tls/close_link_on_expiration", "true".to_owned()));
+    }
     for (key, value) in &limits {
-        config.insert_json5(key, value).map_err(|error| format!("{key} = {value}: {error}"))?;
+        // Without the value, which may be a private key.
+        config.insert_json5(key, value).map_err(|error| format!("{key}: {error}"))?;
     }
     // No scouting and no gossip: sessions talk only to the addresses that the user configured.
     for (key, value) in [
@@ -220,6 +242,10 @@ pub struct RawOptions {
     connect: *const c_char,
     serve: *const c_char,
     accept: *const c_char,
+    access_control: *const c_char,
+    authority: *const c_char,
+    certificate: *const c_char,
+    private_key: *const c_char,
     max_sessions: u32,
     max_message_bytes: u32,
     shared_memory: bool,
@@ -241,6 +267,10 @@ pub unsafe extern "C" fn tensormass_zenoh_open(
                 connect: text(raw.connect)?,
                 serve: text(raw.serve)?,
                 accept: text(raw.accept)?,
+                access_control: text(raw.access_control)?,
+                authority: text(raw.authority)?,
+                certificate: text(raw.certificate)?,
+                private_key: text(raw.private_key)?,
                 max_sessions: raw.max_sessions,
                 max_message_bytes: raw.max_message_bytes,
                 shared_memory: raw.shared_memory,

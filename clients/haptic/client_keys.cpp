@@ -1,0 +1,57 @@
+#include "haptic/client_keys.h"
+
+#include <sys/stat.h>
+
+#include <cerrno>
+#include <cstring>
+#include <ctime>
+#include <fstream>
+#include <iterator>
+#include <utility>
+#include <vector>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+namespace tensormass::haptic {
+
+Result<ClientKeys> read_client_keys(const std::string& path) {
+  const auto refuse = [&](std::string_view what) { return invalid(fmt::format("--keys {}: {}", path, what)); };
+  constexpr std::string_view kGet = "get the file that `tensormass keys add` wrote";
+  struct stat found {};
+  std::ifstream file(path, std::ios::binary);
+  if (!file || stat(path.c_str(), &found) != 0) {
+    return refuse(fmt::format("cannot be read: {}; {}", std::strerror(errno), kGet));
+  }
+  if ((found.st_mode & S_IRWXO) != 0) {
+    return refuse(
+        fmt::format("every user of this machine can use it; renew it if a stranger may have read it, else: "
+                    "chmod o-rwx {}",
+                    path));
+  }
+  const nlohmann::json content = nlohmann::json::parse(file, nullptr, false);
+  if (!content.is_object() || !content.contains("tensormass") || content["tensormass"] != "client keys") {
+    return refuse(fmt::format("not a client's keys, or damaged; {}", kGet));
+  }
+  ClientKeys keys;
+  for (auto [name, value] : std::vector<std::pair<const char*, std::string*>>{{"authority", &keys.authority},
+                                                                              {"certificate", &keys.certificate},
+                                                                              {"private_key", &keys.private_key},
+                                                                              {"curve_public", &keys.curve_public},
+                                                                              {"curve_secret", &keys.curve_secret},
+                                                                              {"curve_server", &keys.curve_server}}) {
+    if (!content.contains(name) || !content[name].is_string() || content[name].get<std::string>().empty()) {
+      return refuse(fmt::format("lacks {}; {}", name, kGet));
+    }
+    *value = content[name].get<std::string>();
+  }
+  if (!content.contains("expires_s") || !content["expires_s"].is_number_integer()) {
+    return refuse(fmt::format("lacks expires_s; {}", kGet));
+  }
+  if (std::time(nullptr) >= content["expires_s"].get<std::int64_t>()) {
+    return refuse("has expired; get new keys: tensormass keys renew NAME");
+  }
+  return keys;
+}
+
+}  // namespace tensormass::haptic

@@ -1,0 +1,1 @@
+"""`tensormass keys`: makes, renews and removes the keys of daemons and their clients."""

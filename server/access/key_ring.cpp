@@ -1,0 +1,187 @@
+#include "access/key_ring.h"
+
+#include <sys/stat.h>
+
+#include <cerrno>
+#include <chrono>
+#include <cstring>
+#include <ctime>
+#include <fstream>
+#include <iterator>
+#include <utility>
+
+#include <fmt/format.h>
+#include <openssl/bio.h>
+#include <openssl/pem.h>
+#include <openssl/x509.h>
+#include <nlohmann/json.hpp>
+
+#include "core/log.h"
+
+namespace tensormass::access {
+namespace {
+
+/// Time between two looks at the list of clients. A removed client must be cut within 5 s.
+constexpr std::chrono::milliseconds kPeriod{500};
+
+std::int64_t now_s() { return static_cast<std::int64_t>(std::time(nullptr)); }
+
+/// Changes whenever a file is written or replaced; 0: there is none.
+std::uint64_t signature_of(const std::string& path) {
+  struct stat found {};
+  if (stat(path.c_str(), &found) != 0) return 0;
+  std::uint64_t hash = 1469598103934665603u;
+  for (const auto part :
+       {static_cast<std::uint64_t>(found.st_ino), static_cast<std::uint64_t>(found.st_size),
+        static_cast<std::uint64_t>(found.st_mtim.tv_sec), static_cast<std::uint64_t>(found.st_mtim.tv_nsec)}) {
+    hash = (hash ^ part) * 1099511628211u;
+  }
+  return hash | 1;
+}
+
+/// forbidden: bits of the mode that the file must not have, for users other than owner and group.
+Result<std::string> read_file(const std::string& path, mode_t forbidden, std::string_view remedy) {
+  struct stat found {};
+  if (stat(path.c_str(), &found) != 0) {
+    return invalid(fmt::format("--keys: cannot read {}: {}; {}", path, std::strerror(errno), remedy));
+  }
+  if ((found.st_mode & forbidden) != 0) {
+    return invalid(
+        fmt::format("--keys: {} is open to every user of this machine; make new keys if a stranger may have "
+                    "read it, else: chmod o-rwx {}",
+                    path, path));
+  }
+  std::ifstream file(path, std::ios::binary);
+  std::string text{std::istreambuf_iterator<char>(file), {}};
+  if (!file) return invalid(fmt::format("--keys: cannot read {}: {}; {}", path, std::strerror(errno), remedy));
+  return text;
+}
+
+struct Free {
+  void operator()(BIO* bio) const { BIO_free(bio); }
+  void operator()(X509* certificate) const { X509_free(certificate); }
+};
+
+/// Refuses a certificate that cannot be read or does not hold now.
+Result<void> check_certificate(const std::string& pem, const std::string& path, std::string_view renew) {
+  const std::unique_ptr<BIO, Free> bio(BIO_new_mem_buf(pem.data(), static_cast<int>(pem.size())));
+  const std::unique_ptr<X509, Free> certificate(PEM_read_bio_X509(bio.get(), nullptr, nullptr, nullptr));
+  if (!certificate) return invalid(fmt::format("--keys: {}: the certificate is damaged; {}", path, renew));
+  if (X509_cmp_current_time(X509_get0_notAfter(certificate.get())) < 0) {
+    return invalid(fmt::format("--keys: {}: the daemon's certificate has expired; {}", path, renew));
+  }
+  if (X509_cmp_current_time(X509_get0_notBefore(certificate.get())) > 0) {
+    return invalid(
+        fmt::format("--keys: {}: the daemon's certificate is not valid yet; set this machine's clock", path));
+  }
+  return {};
+}
+
+}  // namespace
+
+Result<std::unique_ptr<KeyRing>> KeyRing::open(const std::string& folder) {
+  const std::string init = fmt::format("make keys with: tensormass keys init {}", folder);
+  const std::string renew = fmt::format("renew it with: tensormass keys renew {}", folder);
+  const std::string own = folder + "/daemon.json", others = folder + "/clients.json";
+  TM_ASSIGN_OR_RETURN(text, read_file(own, S_IRWXO, init));
+  const nlohmann::json file = nlohmann::json::parse(text, nullptr, false);
+  if (!file.is_object() || !file.contains("tensormass") || file["tensormass"] != "daemon keys") {
+    return invalid(fmt::format("--keys: {} does not hold a daemon's keys; {}", own, init));
+  }
+  DaemonKeys daemon;
+  for (auto [field, value] :
+       std::vector<std::pair<const char*, std::string*>>{{"certificate", &daemon.certificate_pem},
+                                                         {"private_key", &daemon.private_key_pem},
+                                                         {"authority", &daemon.authority_pem},
+                                                         {"curve_public", &daemon.curve_public},
+                                                         {"curve_secret", &daemon.curve_secret}}) {
+    if (!file.contains(field) || !file[field].is_string()) {
+      return invalid(fmt::format("--keys: {} lacks {}; {}", own, field, init));
+    }
+    *value = file[field].get<std::string>();
+  }
+  TM_RETURN_IF_ERROR(check_certificate(daemon.certificate_pem, own, renew));
+  TM_RETURN_IF_ERROR(check_certificate(daemon.authority_pem, own, init));
+  const std::uint64_t seen = signature_of(others);
+  TM_ASSIGN_OR_RETURN(list, read_file(others, S_IWOTH, init));
+  TM_ASSIGN_OR_RETURN(clients, read_client_list(list, others));
+  return std::unique_ptr<KeyRing>(new KeyRing(folder, std::move(daemon), std::move(clients), seen));
+}
+
+KeyRing::KeyRing(std::string folder, DaemonKeys daemon, ClientList clients, std::uint64_t seen)
+    : folder_(std::move(folder)), daemon_(std::move(daemon)), clients_(std::move(clients)), seen_(seen) {}
+
+KeyRing::~KeyRing() { stop(); }
+
+void KeyRing::stop() {
+  if (!thread_.joinable()) return;
+  {
+    const std::lock_guard lock(mutex_);
+    stopping_ = true;
+  }
+  wake_.notify_one();
+  thread_.join();
+}
+
+ClientPtr KeyRing::find(std::string_view id) const {
+  const std::lock_guard lock(mutex_);
+  const auto found = clients_.find(id);
+  return found != clients_.end() && now_s() < found->second->expires_s ? found->second : nullptr;
+}
+
+ClientPtr KeyRing::find_curve(std::string_view curve_public) const {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [id, client] : clients_) {
+    if (client->curve_public == curve_public) return now_s() < client->expires_s ? client : nullptr;
+  }
+  return nullptr;
+}
+
+std::vector<ClientPtr> KeyRing::list() const {
+  const std::lock_guard lock(mutex_);
+  std::vector<ClientPtr> out;
+  for (const auto& [id, client] : clients_) {
+    if (now_s() < client->expires_s) out.push_back(client);
+  }
+  return out;
+}
+
+void KeyRing::follow(std::function<void()> on_change) {
+  thread_ = std::thread([this, changed = std::move(on_change)] { run(changed); });
+}
+
+void KeyRing::run(const std::function<void()>& on_change) {
+  const auto same = [](const std::vector<ClientPtr>& a, const std::vector<ClientPtr>& b) {
+    return std::equal(a.begin(), a.end(), b.begin(), b.end(),
+                      [](const ClientPtr& one, const ClientPtr& other) { return *one == *other; });
+  };
+  std::vector<ClientPtr> before = list();
+  while (true) {
+    {
+      std::unique_lock lock(mutex_);
+      if (wake_.wait_for(lock, kPeriod, [this] { return stopping_; })) return;
+    }
+    read_again();
+    std::vector<ClientPtr> now = list();
+    if (same(before, now)) continue;
+    log::info("other keys count", {{"before", before.size()}, {"now", now.size()}});
+    before = std::move(now);
+    on_change();
+  }
+}
+
+void KeyRing::read_again() {
+  const std::string path = folder_ + "/clients.json";
+  const std::uint64_t seen = signature_of(path);
+  if (seen == std::exchange(seen_, seen)) return;
+  const auto read = [&]() -> Result<ClientList> {
+    TM_ASSIGN_OR_RETURN(text, read_file(path, S_IWOTH, "the list before counts on"));
+    return read_client_list(text, path);
+  };
+  auto clients = read();
+  if (!clients) return log::error("the list of clients cannot be read", {{"reason", clients.error().message}});
+  const std::lock_guard lock(mutex_);
+  clients_ = std::move(*clients);
+}
+
+}  // namespace tensormass::access

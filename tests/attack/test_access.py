@@ -1,0 +1,456 @@
+"""Keys and roles: every role × call × key × transport, removed and expired clients, and downgrades to plain text.
+
+The table is server/access/rules.h. It is read here as text, so that nothing of the daemon says what is expected.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import re
+import socket
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import grpc
+import pytest
+import zenoh
+import zmq
+
+pytest.importorskip("cryptography", reason="needs the extra `keys`")
+
+from attack_parts import DEADLINE_S, IN_AIR_M, block, wait_for
+
+import tensormass as tm
+from tensormass._src.client_keys import ClientKeys, channel_options, date_of
+from tensormass._src.poses import PoseSequence
+from tensormass._src.streams import Transport
+from tensormass.v1 import control_pb2, control_pb2_grpc
+from tensormass_tools.keys.folder import ROLES, KeyFolder
+
+RULES = (Path(__file__).parents[2] / "server/access/rules.h").read_text()
+SERVICE = control_pb2.DESCRIPTOR.services_by_name["Control"]
+SCENES = ("a", "b")
+#: A hand's own scene and tool.
+OWN = "a/probe"
+
+
+def rows(table: str) -> dict[str, dict[str, str]]:
+    """Reads a table of rules.h: what -> role -> NO, TOOL, SCENE or ALL."""
+    body = RULES.split(f"inline constexpr auto {table} =")[1].split("});")[0]
+    lines = re.findall(r'\{"([^"]+)",\s*\{([A-Z, ]+)\}\}', body)
+    return {what: dict(zip(ROLES, reach.replace(" ", "").split(","), strict=True)) for what, reach in lines}
+
+
+CALLS, STREAMS, PUTS = rows("kCalls"), rows("kStreams"), rows("kPuts")
+
+
+def allowed(reach: str, scene: str, tool: str) -> bool:
+    own_scene, own_tool = OWN.split("/")
+    return reach == "ALL" or (scene == own_scene and (reach == "SCENE" or (reach == "TOOL" and tool == own_tool)))
+
+
+def test_the_table_has_every_call_and_key_and_no_other() -> None:
+    assert set(CALLS) == {f"{SERVICE.full_name}/{method.name}" for method in SERVICE.methods}
+    protocol = (Path(__file__).parents[2] / "docs/protocol.md").read_text()
+    keys = dict(re.findall(r"tensormass/<server>/<scene>/(\S+) +\w+ +(server -> client|client -> server)", protocol))
+    keys = {key.replace("<t>", "*"): way for key, way in keys.items()}
+    assert set(STREAMS) == {key for key, way in keys.items() if way == "server -> client"}
+    assert set(PUTS) == {key for key, way in keys.items() if way == "client -> server"}
+    assert all(set(row.values()) <= {"NO", "TOOL", "SCENE", "ALL"} for row in (CALLS | STREAMS | PUTS).values())
+
+
+def test_rights_that_no_role_but_the_operators_may_have() -> None:
+    """A second look at the table: what changes a scene is the operators' alone, and a pose is a hand's, too."""
+    reads = {"GetVersion", "ListScenes", "GetStatus", "GetTopology", "GetFrame", "GetFeedback", "GetPositions"}
+    reads |= {"GetFields", "RecordScene", "SnapshotScene"}
+    for call, row in CALLS.items():
+        assert row["operator"] == "ALL"
+        if call.split("/")[1] not in reads:
+            assert {row[role] for role in ROLES if role != "operator"} == {"NO"}, call
+    assert PUTS["tool/*/pose"] == dict(zip(ROLES, ("ALL", "TOOL", "NO", "NO", "NO"), strict=True))
+
+
+class Guarded:
+    """A daemon with keys on loopback, and a client of each role."""
+
+    def __init__(self, folder: KeyFolder, server: tm.Server, keys: dict[str, ClientKeys]) -> None:
+        self.folder, self.server, self.keys = folder, server, keys
+        self.version = server.version()
+
+    @contextlib.contextmanager
+    def stub(self, keys: ClientKeys) -> Iterator[control_pb2_grpc.ControlStub]:
+        options = channel_options(keys, [("grpc.use_local_subchannel_pool", 1)])
+        with grpc.secure_channel(self.server.address, keys.channel_credentials(), options) as channel:
+            yield control_pb2_grpc.ControlStub(channel)
+
+    @contextlib.contextmanager
+    def socket(self, kind: int, keys: ClientKeys) -> Iterator[zmq.Socket[bytes]]:
+        with zmq.Context() as context, context.socket(kind) as one:
+            one.setsockopt(zmq.LINGER, 0)
+            one.setsockopt(zmq.RCVTIMEO, int(1000 * DEADLINE_S))
+            keys.guard_socket(one)
+            yield one
+
+    @contextlib.contextmanager
+    def zenoh(self, keys: ClientKeys) -> Iterator[zenoh.Session]:
+        config = zenoh.Config()
+        settings = {"mode": "client", "connect/endpoints": [self.version.zenoh_locator]}
+        for key, value in {**settings, "scouting/multicast/enabled": False}.items():
+            config.insert_json5(key, json.dumps(value))
+        keys.guard_zenoh(config)
+        with zenoh.open(config) as session:
+            yield session
+
+    def malformed(self) -> int:
+        return self.server.version().malformed_messages
+
+    def refused_since(self, before: int) -> bool:
+        return self.malformed() > before
+
+
+@contextlib.contextmanager
+def guarded(path: Path) -> Iterator[Guarded]:
+    folder = KeyFolder(path / "keys")
+    folder.init([], 30)
+    keys = {role: folder.add(f"a-{role}", role, of=OWN if role == "hand" else None) for role in ROLES}
+    options = ("--keys", str(folder.path), "--log-format", "json")
+    with tm.launch(backend="cpu", cpu_threads=1, options=options, keys=keys["operator"]) as server:
+        for scene in SCENES:
+            server.load(block(scene))
+        yield Guarded(folder, server, keys)
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
+    with guarded(tmp_path_factory.mktemp("access")) as daemon:
+        yield daemon
+
+
+def request_of(method: str, scene: str, tool: str) -> object:
+    """A request that its call refuses or answers without doing anything, once the role is let in."""
+    kind = next(each for each in SERVICE.methods if each.name == method).input_type
+    request = getattr(control_pb2, kind.name)()
+    if "scene" in kind.fields_by_name and kind.fields_by_name["scene"].message_type is None:
+        # Operators may make every call, and must not change the scenes here.
+        changes = method not in {"GetStatus", "GetTopology", "GetFrame", "GetFeedback", "GetPositions", "GetFields"}
+        request.scene = "none" if changes else scene
+    if "tool" in kind.fields_by_name:
+        request.tool = tool
+    return request
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_every_call_is_let_in_or_refused_by_its_role(one: Guarded, role: str) -> None:
+    with one.stub(one.keys[role]) as stub:
+        for full, scene in itertools.product(CALLS, SCENES):
+            method = full.split("/")[1]
+            request = request_of(method, scene, "probe")
+            named = getattr(request, "scene", "")
+            let_in = allowed(CALLS[full][role], named if isinstance(named, str) else "", "probe")
+            call = getattr(stub, method)
+            try:
+                answer = call(request, timeout=DEADLINE_S)
+                if hasattr(answer, "__next__"):
+                    list(answer)
+                code, details = grpc.StatusCode.OK, ""
+            except grpc.RpcError as error:
+                code, details = error.code(), str(error.details())
+            assert (code != grpc.StatusCode.PERMISSION_DENIED) == let_in, (role, method, scene, code, details)
+            if not let_in:
+                assert f"{method} is not for the role {role}" in details
+                assert "docs/security.md" in details
+
+
+def key_of(what: str, scene: str) -> str:
+    return f"tensormass/local/{scene}/{what.replace('*', 'probe')}"
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_every_stream_over_zeromq(one: Guarded, role: str) -> None:
+    for what, scene in itertools.product(STREAMS, SCENES):
+        let_in = allowed(STREAMS[what][role], scene, "probe")
+        key = key_of(what, scene).encode() + b"\0"
+        before = one.malformed()
+        with one.socket(zmq.SUB, one.keys[role]) as subscriber:
+            subscriber.subscribe(key)
+            subscriber.connect(one.version.zeromq_publish_endpoint)
+            if let_in:
+                assert subscriber.recv().startswith(key)
+            else:
+                wait_for("the refusal", partial(one.refused_since, before))
+                assert subscriber.poll(0) == 0, (role, what, scene)
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_every_stream_over_zenoh(one: Guarded, role: str) -> None:
+    heard: dict[str, set[str]] = {"role": set(), "operator": set()}
+
+    def take(who: str) -> Callable[[zenoh.Sample], None]:
+        return lambda sample: heard[who].add(str(sample.key_expr))
+
+    wanted = {key_of(what, scene): allowed(STREAMS[what][role], scene, "probe") for what in STREAMS for scene in SCENES}
+    with one.zenoh(one.keys[role]) as session, one.zenoh(one.keys["operator"]) as operator:
+        subscribers = [
+            each.declare_subscriber("tensormass/local/**", zenoh.handlers.Callback(take(who), indirect=False))
+            for who, each in (("role", session), ("operator", operator))
+        ]
+        moving = {key for key in wanted if not key.endswith("topology")}
+        wait_for("the streams", lambda: heard["operator"] >= moving)
+        wait_for("those of the role", lambda: heard["role"] >= {key for key in moving if wanted[key]})
+        heard["operator"].clear()
+        wait_for("the streams again", lambda: heard["operator"] >= moving)
+        assert heard["role"] <= {key for key, let_in in wanted.items() if let_in}
+        for key in (key_of("topology", scene) for scene in SCENES):
+            replies = [reply for reply in session.get(key, timeout=2.0) if reply.ok is not None]
+            assert bool(replies) == wanted[key], (role, key)
+        del subscribers
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("transport", ["zeromq", "zenoh"])
+@pytest.mark.parametrize("role", ROLES)
+def test_every_pose(one: Guarded, role: str, transport: Transport, scene: str) -> None:
+    handle, key = one.server.scene(scene), key_of("tool/*/pose", scene)
+    sequence = PoseSequence()
+    before = one.malformed()
+
+    def answers(client_id: int) -> bool:
+        return handle.feedback("probe").client_id == client_id
+
+    with contextlib.ExitStack() as parts:
+        if transport == "zeromq":
+            pusher = parts.enter_context(one.socket(zmq.PUSH, one.keys[role]))
+            pusher.connect(one.version.zeromq_pose_endpoint)
+        else:
+            session = parts.enter_context(one.zenoh(one.keys[role]))
+
+        def send() -> None:
+            payload = sequence.next(IN_AIR_M, None).SerializeToString()
+            if transport == "zeromq":
+                pusher.send(key.encode() + b"\0" + payload)
+            else:
+                session.put(key, payload)
+
+        def moves() -> bool:
+            send()
+            return answers(sequence.client_id)
+
+        if allowed(PUTS["tool/*/pose"][role], scene, "probe"):
+            wait_for("the pose", moves)
+            return
+        stream = parts.enter_context(handle.tool_stream("probe", transport))
+        for _ in range(20):
+            send()
+        if transport == "zeromq":
+            wait_for("the refusal", lambda: one.malformed() >= before + 20)
+
+        def operator_moves() -> bool:
+            assert not moves(), (role, scene)
+            stream.send(IN_AIR_M)
+            return answers(stream.client_id)
+
+        wait_for("the operator's pose", operator_moves)
+
+
+def test_a_recorder_does_not_reset_the_scene(one: Guarded) -> None:
+    with one.stub(one.keys["recorder"]) as stub:
+        records = stub.RecordScene(control_pb2.RecordSceneRequest(scene="a", reset=True), timeout=DEADLINE_S)
+        with pytest.raises(grpc.RpcError, match="ResetScene is not for the role recorder"):
+            next(records)
+        records = stub.RecordScene(control_pb2.RecordSceneRequest(scene="a"), timeout=DEADLINE_S)
+        assert next(records).HasField("start")
+        records.cancel()
+
+
+def test_plain_text_is_refused_everywhere(one: Guarded) -> None:
+    before = one.malformed()
+    with pytest.raises(tm.UnavailableError, match="If it was started with --keys, give your file of keys"):
+        tm.connect(one.server.address, timeout_s=1)
+    wait_for("gRPC's refusal", lambda: one.malformed() > before)
+    before = one.malformed()
+    with zmq.Context() as context, context.socket(zmq.SUB) as subscriber:
+        subscriber.setsockopt(zmq.LINGER, 0)
+        subscriber.subscribe(key_of("frame", "a").encode() + b"\0")
+        subscriber.connect(one.version.zeromq_publish_endpoint)
+        wait_for("ZeroMQ's refusal", lambda: one.malformed() > before)
+        assert subscriber.poll(0) == 0
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "client",
+        "connect/endpoints": [one.version.zenoh_locator.replace("tls/", "tcp/")],
+        "connect/timeout_ms": 1000,
+        "scouting/multicast/enabled": False,
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    with pytest.raises(zenoh.ZError):
+        zenoh.open(config).close()
+
+
+def test_a_daemon_without_keys_refuses_keys(one: Guarded) -> None:
+    with (
+        tm.launch(backend="cpu", cpu_threads=1, zenoh=False) as plain,
+        pytest.raises(tm.UnavailableError, match=r"takes the keys .*Is it started, with --keys"),
+    ):
+        tm.connect(plain.address, keys=one.keys["viewer"], timeout_s=1)
+
+
+def test_keys_of_strangers_are_refused(one: Guarded, tmp_path: Path) -> None:
+    other = KeyFolder(tmp_path / "other")
+    other.init([], 30)
+    stranger = other.add("a-operator", "operator")
+    with pytest.raises(tm.UnavailableError, match=r"no daemon on .* takes the keys .*a-operator"):
+        tm.connect(one.server.address, keys=stranger, timeout_s=1)
+    before = one.malformed()
+    with one.socket(zmq.SUB, stranger) as subscriber:
+        subscriber.subscribe(key_of("frame", "a").encode() + b"\0")
+        subscriber.connect(one.version.zeromq_publish_endpoint)
+        wait_for("the refusal", lambda: one.malformed() > before)
+        assert subscriber.poll(0) == 0
+    try:
+        with one.zenoh(stranger) as session:
+            assert not list(session.get(key_of("topology", "a"), timeout=1.0))
+    except zenoh.ZError:
+        pass  # no session at all
+
+
+def follow(daemon: Guarded, keys: ClientKeys, parts: contextlib.ExitStack) -> Callable[[], list[str]]:
+    """Uses all transports with a client's keys. Returns what says which of them still bring news."""
+    stub = parts.enter_context(daemon.stub(keys))
+    subscriber = parts.enter_context(daemon.socket(zmq.SUB, keys))
+    subscriber.subscribe(key_of("frame", "a").encode() + b"\0")
+    subscriber.connect(daemon.version.zeromq_publish_endpoint)
+    session = parts.enter_context(daemon.zenoh(keys))
+    over_zenoh: list[bool] = []
+
+    def take(_sample: zenoh.Sample) -> None:
+        over_zenoh.append(True)
+
+    parts.callback(
+        session.declare_subscriber(key_of("frame", "a"), zenoh.handlers.Callback(take, indirect=False)).undeclare
+    )
+
+    def alive() -> list[str]:
+        found = []
+        with contextlib.suppress(grpc.RpcError):
+            stub.GetStatus(control_pb2.GetStatusRequest(scene="a"), timeout=1)
+            found.append("gRPC")
+        while subscriber.poll(0):
+            subscriber.recv()
+        over_zenoh.clear()
+        deadline = time.monotonic() + 0.3
+        while time.monotonic() < deadline and not (over_zenoh and subscriber.poll(0)):
+            time.sleep(0.005)
+        return found + (["ZeroMQ"] if subscriber.poll(0) else []) + (["zenoh"] if over_zenoh else [])
+
+    wait_for("all transports", lambda: len(alive()) == 3)
+    return alive
+
+
+@pytest.mark.attack("a client whose key was removed", "nobody had keys")
+def test_a_removed_client_is_cut_and_the_others_go_on(
+    tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    with guarded(tmp_path) as daemon, contextlib.ExitStack() as parts:
+        scene = daemon.server.scene("a")
+        removed = follow(daemon, daemon.keys["viewer"], parts)
+        stays = follow(daemon, daemon.keys["recorder"], parts)
+        begin = time.monotonic()
+        daemon.folder.remove("a-viewer")
+        step = scene.status().step
+        wait_for("the cut", lambda: removed() == [])
+        took = time.monotonic() - begin
+        wait_for("the steps", lambda: scene.status().step > step)
+        wait_for("the others", lambda: len(stays()) == 3)
+        assert removed() == []
+        record_property("now", f"cut on all transports after {took:.1f} s")
+        with pytest.raises(tm.UnavailableError, match="may have been removed"):
+            tm.connect(daemon.server.address, keys=daemon.keys["viewer"], timeout_s=1)
+        # The same name again is another client.
+        again = daemon.folder.add("a-viewer", "viewer")
+        wait_for("the new keys", lambda: connects(daemon, again))
+        assert not connects(daemon, daemon.keys["viewer"])
+
+
+def connects(daemon: Guarded, keys: ClientKeys) -> bool:
+    with contextlib.suppress(tm.TensormassError):
+        tm.connect(daemon.server.address, keys=keys, timeout_s=1).close()
+        return True
+    return False
+
+
+def test_expired_keys_are_refused_also_without_the_list(tmp_path: Path) -> None:
+    with guarded(tmp_path) as daemon, contextlib.ExitStack() as parts:
+        short = daemon.folder.add("short", "viewer", days=20 / 86_400)
+        wait_for("the new keys", lambda: connects(daemon, short))
+        alive = follow(daemon, short, parts)
+        (daemon.folder.path / "clients.json").unlink()
+        wait_for("the cut", lambda: alive() == [])
+        assert time.time() >= short.expires_s
+        with daemon.stub(short) as stub, pytest.raises(grpc.RpcError):
+            stub.GetVersion(control_pb2.GetVersionRequest(), timeout=1)
+        with pytest.raises(tm.InvalidArgumentError, match=f"expired on {date_of(short.expires_s)}"):
+            tm.connect(daemon.server.address, keys=short.path)
+        daemon.server.version()  # the list before counts on
+
+
+def test_an_unchanged_list_opens_nothing_again(tmp_path: Path) -> None:
+    with guarded(tmp_path) as daemon:
+        path = daemon.folder.path / "clients.json"
+        with daemon.zenoh(daemon.keys["viewer"]) as session:
+            (peer,) = session.info.routers_zid() + session.info.peers_zid()
+            path.write_text(path.read_text())
+            path.write_text("{")  # broken, which the log tells
+            log = daemon.server.log_file
+            assert log is not None
+            wait_for("the log", lambda: "the list of clients cannot be read" in log.read_text())
+            assert session.info.routers_zid() + session.info.peers_zid() == [peer]
+        assert "other keys count" not in log.read_text()
+
+
+def test_the_daemon_refuses_an_address_of_others_without_keys() -> None:
+    for option, address in (("--control", "0.0.0.0:0"), ("--zeromq-publish", "tcp://0.0.0.0:*")):
+        with pytest.raises(tm.UnavailableError) as refused:
+            tm.launch(backend="cpu", options=(option, address))
+        assert f"{option} {address}: other machines can reach this address" in str(refused.value)
+        assert "tensormass keys init keys" in str(refused.value)
+
+
+def expire(path: Path) -> None:
+    KeyFolder(path).renew(None, 1e-5)
+    time.sleep(1)
+
+
+@pytest.mark.parametrize(
+    ("damage", "refusal"),
+    [
+        (lambda path: (path / "daemon.json").unlink(), "make keys with: tensormass keys init"),
+        (lambda path: (path / "daemon.json").chmod(0o644), "is open to every user of this machine"),
+        (lambda path: (path / "daemon.json").write_text("{}"), "does not hold a daemon's keys"),
+        (lambda path: (path / "clients.json").write_text("[]"), "not a list of clients"),
+        (lambda path: (path / "clients.json").unlink(), "make keys with: tensormass keys init"),
+        (expire, "the daemon's certificate has expired"),
+    ],
+)
+def test_a_daemon_refuses_a_folder_that_it_cannot_use(
+    tmp_path: Path, damage: Callable[[Path], object], refusal: str
+) -> None:
+    folder = KeyFolder(tmp_path / "keys")
+    folder.init([], 30)
+    damage(folder.path)
+    with pytest.raises(tm.UnavailableError) as refused:
+        tm.launch(backend="cpu", options=("--keys", str(folder.path)))
+    assert refusal in str(refused.value)
+    assert str(folder.path) in str(refused.value)
+
+
+def test_half_a_handshake_holds_nothing(one: Guarded) -> None:
+    host, port = one.server.address.rsplit(":", 1)
+    before = one.malformed()
+    with socket.create_connection((host, int(port))) as half:
+        half.sendall(b"\x16\x03\x01\x02\x00" + b"\x01" * 64)
+        wait_for("the end of its time", lambda: one.malformed() > before)
+    one.server.version()
