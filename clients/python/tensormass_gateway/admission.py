@@ -1,29 +1,31 @@
 """Admission of browsers by token, Origin header and number; and the headers of every answer.
 
-There are two tokens: one to look, one for operators, who also control scenes. Whoever knows one of them may connect
-from a page of this gateway or of an --origin, up to a number of browsers. The Origin header names the page; a program
-that is not a browser sends the gateway's own, http://host:port. A browser hides from its page why a WebSocket was
-refused; POST on the same address tells.
+There are two tokens: one to look, one for operators, who also control scenes. Whoever knows one of them, or has the
+cookie that a page got for it (entry.py), may connect from a page of this gateway or of an --origin, up to a number of
+browsers. The Origin header names the page; a program that is not a browser sends the gateway's own, http://host:port.
+A browser hides from its page why a WebSocket was refused; POST on the same address tells.
 """
 
 from __future__ import annotations
 
-import hmac
 import ipaddress
 import platform
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 from urllib.parse import urlsplit
 
 from aiohttp import web
 
 from tensormass_gateway.connections import Connection
+from tensormass_gateway.entry import Entry
 from tensormass_gateway.journal import Journal
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.origins import origin_of
 
 MIN_TOKEN_CHARACTERS = 16
 """A shorter token is refused at the start, because it can be guessed. Those that are made here have 32."""
+
+_NOT_LET_IN = "the token is missing or wrong; use the address that was printed\n"
 
 _HEADERS = {
     # WebAssembly decodes frames of the codec meshopt.
@@ -55,6 +57,7 @@ class Admission:
         self.refused_connections = 0
         self._journal = journal
         self._options = options
+        self.entry = Entry(options)
         self._origins = frozenset(origin_of(origin) for origin in options.origins)
         self._own_names = frozenset({options.host.lower(), "localhost", platform.node().lower()})
 
@@ -65,6 +68,25 @@ class Admission:
             browser_count: how many are connected now.
         """
         self.check_token(request)
+        self.check_origin(request)
+        if browser_count >= self._options.max_browsers:
+            full = f"{self._options.max_browsers} browsers are connected (--max-browsers)\n"
+            self._refuse(request, web.HTTPServiceUnavailable(text=full))
+
+    def enter(self, request: web.Request, token: str, code: str) -> web.Response:
+        """Answers with the cookie of a new session."""
+        self.check_origin(request)
+        session = self.entry.enter(token, code)
+        if session is None:
+            self._refuse(request, web.HTTPForbidden(text=_NOT_LET_IN))
+        response = web.Response(status=204)
+        response.set_cookie(
+            self.entry.cookie(request), session, httponly=True, samesite="Strict", secure=request.secure, path="/"
+        )
+        return response
+
+    def check_origin(self, request: web.Request) -> None:
+        """Refuses a page that is not this gateway's own, and none of --origin."""
         # A page from elsewhere could make a browser that knows the token connect. The browser names that page here.
         origin = request.headers.get("Origin", "")
         if not origin.isascii():
@@ -74,9 +96,6 @@ class Admission:
             self._refuse(request, web.HTTPForbidden(text=f"the Origin header is missing; send {wanted}\n"))
         if not self._is_named(origin) and not self._is_own(origin, request.host):
             self._refuse(request, web.HTTPForbidden(text=f"Origin {origin} is not let in; allow it with --origin\n"))
-        if browser_count >= self._options.max_browsers:
-            full = f"{self._options.max_browsers} browsers are connected (--max-browsers)\n"
-            self._refuse(request, web.HTTPServiceUnavailable(text=full))
 
     def _is_named(self, origin: str) -> bool:
         """Tells whether --origin allows pages of `origin`."""
@@ -100,28 +119,20 @@ class Admission:
         return True
 
     def check_token(self, request: web.Request) -> None:
-        """Refuses a request without the token."""
-        looks = _same(request.query.get("token", ""), self._options.token)
-        if not looks and not self.is_operator(request):
-            self._refuse(
-                request, web.HTTPForbidden(text="the token is missing or wrong; use the address that was printed\n")
-            )
+        """Refuses a request without the token, and without a cookie."""
+        if self.entry.role_of(request) is None:
+            self._refuse(request, web.HTTPForbidden(text=_NOT_LET_IN))
 
     def is_operator(self, request: web.Request) -> bool:
-        """Tells whether a request has the operators' token."""
-        return _same(request.query.get("token", ""), self._options.operator_token)
+        """Tells whether a request has the operators' token, or the cookie that a page got for it."""
+        return self.entry.role_of(request) is True
 
-    def _refuse(self, request: web.Request, error: web.HTTPException) -> None:
+    def _refuse(self, request: web.Request, error: web.HTTPException) -> NoReturn:
         self.refused_connections += 1
         who = request.protocol.who if isinstance(request.protocol, Connection) else str(request.remote)
         what = f"{request.method} {request.path}"
         self._journal.note("refused", who=who, what=what, reason=error.text or error.reason)
         raise error
-
-
-def _same(given: str, token: str) -> bool:
-    """Compares in a time that does not depend on the given text."""
-    return hmac.compare_digest(given.encode(), token.encode())
 
 
 @web.middleware

@@ -46,6 +46,11 @@ def run(args: argparse.Namespace, recording: Recording | None = None) -> int:
     return 0
 
 
+def next_addresses(gateway: Gateway) -> str:
+    """Returns what to say when an address has been opened, because each opens one browser."""
+    return f"another browser: {gateway.once_url}\nto look only: {gateway.look_once_url}"
+
+
 async def _run(args: argparse.Namespace, recording: Recording | None) -> None:
     stopped = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -55,8 +60,10 @@ async def _run(args: argparse.Namespace, recording: Recording | None) -> None:
         if args.gateway_ready_file is not None:
             write_ready_file(args.gateway_ready_file, gateway)
         if getattr(args, "json", False):
-            print(json.dumps({"url": gateway.url, "look_url": gateway.look_url, **source}), flush=True)
+            addresses = {"url": gateway.once_url, "look_url": gateway.look_once_url}
+            print(json.dumps({**addresses, **source}), flush=True)
         else:
             what = f"daemon: {args.server}" if recording is None else f"recording: {recording.name}"
-            print(f"viewer: {gateway.url}\nto look only: {gateway.look_url}\n{what}", flush=True)
+            print(f"viewer: {gateway.once_url}\nto look only: {gateway.look_once_url}\n{what}", flush=True)
+            gateway.on_code_used(lambda: print(next_addresses(gateway), flush=True))
         await stopped.wait()

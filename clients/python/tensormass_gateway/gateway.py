@@ -49,9 +49,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import time
-from collections.abc import AsyncIterator, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
@@ -68,6 +69,7 @@ from tensormass_gateway.encoding import SharedFrame
 from tensormass_gateway.journal import Journal
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.outbox import Stream, Watcher
+from tensormass_gateway.page_tls import check_page, page_context
 from tensormass_gateway.playback import Playback
 from tensormass_gateway.player import Recording
 from tensormass_gateway.requests import (
@@ -175,7 +177,7 @@ class Gateway:
         self._daemon: Daemon | Playback
         self._control: Control | Playback
         if recording is None:
-            self._daemon = Daemon(options.control, options.poll_interval_s, self._announce, known)
+            self._daemon = Daemon(options.control, options.poll_interval_s, self._announce, known, options.keys)
             self._control = Control(self._daemon)
         else:
             self._daemon = self._control = Playback(recording, self._announce, self._announce_head)
@@ -185,13 +187,27 @@ class Gateway:
 
     @property
     def url(self) -> str:
-        """Returns the address to open, with the operators' token."""
-        return self._address(self.options.operator_token)
+        """Returns the address to open, with the operators' token. It is good for ever, so nothing prints it."""
+        return self._address("token", self.options.operator_token)
 
     @property
     def look_url(self) -> str:
         """Returns the address for those who only look."""
-        return self._address(self.options.token)
+        return self._address("token", self.options.token)
+
+    @property
+    def once_url(self) -> str:
+        """Returns the address to open once, with an operator's code."""
+        return self._address("code", self._admission.entry.code(operator=True))
+
+    @property
+    def look_once_url(self) -> str:
+        """Returns the address to open once, for those who only look."""
+        return self._address("code", self._admission.entry.code(operator=False))
+
+    def on_code_used(self, tell: Callable[[], None]) -> None:
+        """Calls `tell` when a page has used a code up, and another one counts."""
+        self._admission.entry.on_used = tell
 
     @property
     def browser_count(self) -> int:
@@ -215,18 +231,21 @@ class Gateway:
             "malformed_messages": self._daemon.malformed,
         }
 
-    def _address(self, token: str) -> str:
+    def _address(self, name: str, value: str) -> str:
         host = f"[{self.options.host}]" if ":" in self.options.host else self.options.host
-        return f"http://{host}:{self.port}/?token={token}"
+        scheme = "http" if self.options.page is None else "https"
+        return f"{scheme}://{host}:{self.port}/?{name}={value}"
 
     async def start(self) -> None:
-        """Starts to listen. Raises OSError if the address is taken."""
+        """Starts to listen. Raises OSError if the address is taken, ValueError if it needs a certificate."""
+        check_page(self.options.host, self.options.page)
         app = web.Application(middlewares=[checked])
         app.add_routes(
             [
                 web.get("/", self._page),
                 web.get("/stream", self._stream),
                 web.post("/stream", self._ask_admission),
+                web.post("/enter", self._enter),
                 web.get("/status", self._status),
                 web.static("/assets", self.options.viewer / "assets"),
             ]
@@ -236,7 +255,10 @@ class Gateway:
         assert self._runner.server is not None
         connections = Connections(self._runner.server, self._connection_limit, self._journal)
         self._listener = await asyncio.get_running_loop().create_server(
-            connections, self.options.host, self.options.port
+            connections,
+            self.options.host,
+            self.options.port,
+            ssl=page_context(self.options.page) if self.options.page is not None else None,
         )
         self.port = self._listener.sockets[0].getsockname()[1]
         self._follower = background(self._daemon.follow())
@@ -257,6 +279,15 @@ class Gateway:
 
     async def _page(self, request: web.Request) -> web.FileResponse:
         return web.FileResponse(self.options.viewer / "index.html", headers={"Cache-Control": "no-cache"})
+
+    async def _enter(self, request: web.Request) -> web.Response:
+        """Changes a token or a code into a cookie (entry.py)."""
+        try:
+            given = json.loads(await request.text())
+            token, code = str(given.get("token", "")), str(given.get("code", ""))
+        except (ValueError, AttributeError):
+            raise web.HTTPBadRequest(text='send {"code": ...} or {"token": ...}\n') from None
+        return self._admission.enter(request, token, code)
 
     async def _status(self, request: web.Request) -> web.Response:
         self._admission.check_token(request)

@@ -39,6 +39,7 @@ from tensormass.v1 import scene_pb2
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_gateway.options import options_from
 from tensormass_tools import fitting, hand, presets, priority
+from tensormass_tools.daemon_arguments import add_keys_argument
 from tensormass_tools.fit_scene import Fitted, fit_scene
 from tensormass_tools.output import Warnings, check_writable, load_line, print_json, report_text, status_line
 from tensormass_tools.running import announced
@@ -76,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="end by itself after stepping so long, or when a guard stops the scene; its report is NAME-fault.npz then",
     )
     parser.add_argument("--verbose", action="store_true", help="print the scene's plan")
+    add_keys_argument(parser)
     add_gateway_arguments(parser)
     parser.add_argument(
         "--json", action="store_true", help="one JSON object a line: where control and viewer are, then statuses"
@@ -148,7 +150,7 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
             else await parts.enter_async_context(_viewer(args, server, {handle.name: scene.message}))
         )
         if args.json:
-            with_viewer = {"viewer": viewer.url} if viewer is not None else {}
+            with_viewer = {"viewer": viewer.once_url} if viewer is not None else {}
             print_json(
                 {"control": server.address, **with_viewer, **({"fit": fitted.sentence} if fitted.sentence else {})}
             )
@@ -166,21 +168,25 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
 async def _viewer(
     args: argparse.Namespace, server: Server, known: dict[str, scene_pb2.Scene]
 ) -> AsyncIterator[Gateway]:
-    from tensormass_gateway.command import write_ready_file
+    from tensormass_gateway.command import next_addresses, write_ready_file
     from tensormass_gateway.gateway import serve
 
     async with contextlib.AsyncExitStack() as parts:
         try:
-            running = await parts.enter_async_context(serve(options_from(args, server.address), known))
+            running = await parts.enter_async_context(
+                serve(options_from(args, server.address, daemon_has_keys=False), known)
+            )
         except FileNotFoundError as error:
             raise UnavailableError(f"{error}; or run with --no-viewer") from error
-        except (OSError, UnicodeError) as error:  # UnicodeError: an impossible host name
+        except (OSError, ValueError) as error:  # ValueError: an impossible host name, or no certificate for it
             reason = getattr(error, "strerror", None) or error
             where = f"--host {args.host} --port {args.port}"
             raise UnavailableError(f"{where}: no viewer can be served: {reason}") from error
         if args.gateway_ready_file is not None:
             write_ready_file(args.gateway_ready_file, running)
-        _say(args, f"\n  viewer: {running.url}\n  to look only: {running.look_url}\n")
+        _say(args, f"\n  viewer: {running.once_url}\n  to look only: {running.look_once_url}\n")
+        if not args.json:
+            running.on_code_used(lambda: _say(args, next_addresses(running)))
         yield running
 
 

@@ -1,6 +1,6 @@
 // The page's address: what it asks for, and what it remembers for a reload.
 //
-// ?token= as the gateway prints it; ?scene= names the selected scene (default: the first that runs); ?grid=1 shows all
+// ?code= as the gateway prints it, or ?token=: enter() changes them into a cookie and leaves them out; ?scene= names the selected scene (default: the first that runs); ?grid=1 shows all
 // scenes in a grid; ?quality= fixes a level of view/quality.ts or is "automatic" (default: what Display remembers);
 // ?codec= (default: q16), ?rate_hz=, ?normals= and ?detail= choose the frames that the gateway sends (docs/protocol.md).
 import type { Diagnosis, FrameChoice } from "./stream/connection";
@@ -36,7 +36,31 @@ export class Address {
     return { ...(given.has("detail") ? {} : { detail }), ...(given.has("rate_hz") ? {} : { rate_hz: rateHz }) };
   }
 
-  /** Address of the WebSocket, with the token and the choice of frames. The gateway refuses an unknown choice in words. */
+  /**
+   * Changes the code or the token of the address into a cookie, which no script can read. Returns the address without
+   * them; null: there was none, or the gateway does not take it, which `diagnose` explains.
+   */
+  async enter(): Promise<string | null> {
+    const { searchParams } = this.#url;
+    const given = Object.fromEntries(["code", "token"].map((name) => [name, searchParams.get(name) ?? ""]));
+    if (given["code"] === "" && given["token"] === "") {
+      return null;
+    }
+    try {
+      const body = JSON.stringify(given);
+      const reply = await fetch(`//${this.#url.host}/enter`, { method: "POST", body });
+      if (!reply.ok && given["code"] === "") {
+        return null;
+      }
+    } catch {
+      return null;
+    }
+    set(searchParams, "code", null);
+    set(searchParams, "token", null);
+    return this.#url.href;
+  }
+
+  /** Address of the WebSocket, with the choice of frames. The gateway refuses an unknown choice in words. */
   get stream(): string {
     return `${this.#url.protocol === "https:" ? "wss:" : "ws:"}${this.#streamPath}`;
   }
@@ -64,7 +88,8 @@ export class Address {
 
   get #streamPath(): string {
     const given = this.#url.searchParams;
-    const query = new URLSearchParams({ token: given.get("token") ?? "", codec: "q16" });
+    const token = given.get("token");
+    const query = new URLSearchParams({ ...(token === null ? {} : { token }), codec: "q16" });
     for (const name of ["codec", "rate_hz", "normals", "detail"]) {
       const value = given.get(name);
       if (value !== null) {

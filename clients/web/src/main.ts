@@ -31,6 +31,11 @@ import { Stage } from "./view/stage";
 const READINGS_INTERVAL_MS = 250;
 
 const address = new Address(window.location.href);
+// Before anything connects, and so that neither history nor a copied address holds what lets a browser in.
+const withoutSecrets = await address.enter();
+if (withoutSecrets !== null) {
+  window.history.replaceState(null, "", withoutSecrets);
+}
 let settings = loadSettings();
 /** The scene that the panels follow. */
 let followed: { readonly session: Session; readonly scene: string | null } | null = null;

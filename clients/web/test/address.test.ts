@@ -1,4 +1,4 @@
-import { expect, it } from "vitest";
+import { afterEach, describe, expect, it, vi } from "vitest";
 
 import { Address } from "../src/address";
 
@@ -29,4 +29,39 @@ it("asks for streams with the token and the chosen frames", () => {
   expect(new Address("https://host/?token=t&rate_hz=30&codec=delta&detail=0.5").stream).toBe(
     "wss://host/stream?token=t&codec=delta&rate_hz=30&detail=0.5",
   );
+});
+
+describe("entering", () => {
+  afterEach(() => vi.unstubAllGlobals());
+  const answering = (status: number) => {
+    const post = vi.fn(() => Promise.resolve(new Response(null, { status })));
+    vi.stubGlobal("fetch", post);
+    return post;
+  };
+
+  it("changes a code into a cookie and leaves it out of every address", async () => {
+    const post = answering(204);
+    const address = new Address("http://host:1/?code=c&scene=a");
+    expect(await address.enter()).toBe("http://host:1/?scene=a");
+    expect(post).toHaveBeenCalledWith("//host:1/enter", { method: "POST", body: '{"code":"c","token":""}' });
+    expect(address.stream).toBe("ws://host:1/stream?codec=q16");
+  });
+
+  it("drops a code that was used: a reload has the cookie", async () => {
+    answering(403);
+    expect(await new Address("http://host:1/?code=c").enter()).toBe("http://host:1/");
+  });
+
+  it("keeps a wrong token, so that the gateway says what is wrong", async () => {
+    answering(403);
+    const address = new Address("http://host:1/?token=t");
+    expect(await address.enter()).toBeNull();
+    expect(address.stream).toContain("token=t");
+  });
+
+  it("asks for nothing without either", async () => {
+    const post = answering(204);
+    expect(await new Address("http://host:1/?scene=a").enter()).toBeNull();
+    expect(post).not.toHaveBeenCalled();
+  });
 });

@@ -1,0 +1,79 @@
+"""How a page gets in: it changes what its address holds into a cookie, so that no address or history keeps a token.
+
+    printed: /?code=...  --page--> POST /enter {"code": ...}   --> cookie of a session; the code is used up
+    given:   /?token=... --page--> POST /enter {"token": ...}  --> cookie of a session
+
+The cookie is HttpOnly, so no script reads it, and SameSite=Strict, so no other page sends it. Other
+programs may give the token with each request instead (admission.py).
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from collections.abc import Callable
+
+from aiohttp import web
+
+from tensormass_gateway.options import GatewayOptions
+
+MAX_SESSIONS = 256
+"""Pages that are let in at once. The oldest makes room."""
+
+_LOOK, _OPERATE = False, True
+
+
+class Entry:
+    """Codes that are printed, and sessions of pages that got in."""
+
+    def __init__(self, options: GatewayOptions) -> None:
+        self._options = options
+        self._codes = {_LOOK: new_secret(), _OPERATE: new_secret()}
+        self._sessions: dict[str, bool] = {}
+        """Whether each is an operator's; oldest first."""
+        self.on_used: Callable[[], None] = lambda: None
+        """Called when a code was used up, and another one counts."""
+
+    def code(self, *, operator: bool) -> str:
+        """Returns the code that counts now."""
+        return self._codes[operator]
+
+    def enter(self, token: str, code: str) -> str | None:
+        """Returns a new session for a token or a code; None if neither is right."""
+        operator = self.role_of_token(token)
+        if operator is None:
+            used = [role for role, right in self._codes.items() if same(code, right)]
+            if not used:
+                return None
+            operator = used[0]
+            self._codes[operator] = new_secret()
+            self.on_used()
+        session = new_secret()
+        self._sessions[session] = operator
+        while len(self._sessions) > MAX_SESSIONS:
+            self._sessions.pop(next(iter(self._sessions)))
+        return session
+
+    def role_of(self, request: web.Request) -> bool | None:
+        """Returns whether a request is an operator's; None if it is nobody's."""
+        session = self._sessions.get(request.cookies.get(self.cookie(request), ""))
+        return session if session is not None else self.role_of_token(request.query.get("token", ""))
+
+    def role_of_token(self, token: str) -> bool | None:
+        if same(token, self._options.operator_token):
+            return _OPERATE
+        return _LOOK if same(token, self._options.token) else None
+
+    @staticmethod
+    def cookie(request: web.Request) -> str:
+        """Returns the cookie's name. Browsers share cookies among the ports of a host."""
+        return f"tensormass-{request.url.port}"
+
+
+def new_secret() -> str:
+    return secrets.token_urlsafe(24)
+
+
+def same(given: str, right: str) -> bool:
+    """Compares in a time that does not depend on the given text."""
+    return hmac.compare_digest(given.encode(), right.encode())
