@@ -445,7 +445,7 @@ def test_sigterm_cleans_up_like_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
     tidied = []
 
     @contextlib.contextmanager
-    def connect(address: str) -> Iterator[None]:
+    def connect(address: str, keys: object = None) -> Iterator[None]:
         try:
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(10)

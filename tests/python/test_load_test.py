@@ -364,7 +364,7 @@ def view(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[.
         topology = stream_pb2.Topology(bodies=[stream_pb2.BodySurface(vertex_count=3)])
         scene = SimpleNamespace(topology=lambda: topology, status=status, frames=lambda _: Frames(items))
         server = SimpleNamespace(scene=lambda _: scene)
-        monkeypatch.setattr(load_viewer, "connect", lambda _: contextlib.nullcontext(server))
+        monkeypatch.setattr(load_viewer, "connect", lambda _, keys=None: contextlib.nullcontext(server))
         command = ["--server", "a:1", "--scene", "s", "--transport", "zeromq"]
         return load_viewer.main([*command, "--ready", str(tmp_path / "ready"), "--report", str(tmp_path / "report")])
 
