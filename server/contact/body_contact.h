@@ -41,12 +41,13 @@ inline constexpr double kSmoothCosine = 0.7;
 /// Width of the rim in is_inside, as a part of the reach.
 inline constexpr double kRimInReaches = 0.1;
 
-/// Where a node was in the last step, as to its own body's surface: the 4th number of TiesView::slips while the node
-/// does not push, and Tie::across of a tie without stiffness. A node that was outside, or pushed, has 0 or a force.
+/// Side on which a node was in the last step, as to its own body's surface: the 4th number of TiesView::slips while the
+/// node does not push, and Tie::across of a tie without stiffness. A node that was outside, or pushed, has 0 or a
+/// force.
 struct NodeSide {
   /// Nothing faced it within the reach. It is in the open, or deep in the body.
   static constexpr int kUnseen = -1;
-  /// It came to the surface from within, and has not been out of reach since.
+  /// The node came to the surface from within, and has not been out of reach since.
   static constexpr int kFromWithin = -2;
 };
 

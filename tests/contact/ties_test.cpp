@@ -269,7 +269,7 @@ TEST_P(Bodies, FoldedSheetRests) {
 /// it: the node comes back as it does in a body that does not touch itself.
 TEST_P(Bodies, LetGoOfANodeThatCameFromWithin) {
   for (const bool double_precision : {true, false}) {
-    for (const double left_m : {0.02, 0.002, -0.005}) {  // of the body below the node
+    for (const double left_m : {0.02, 0.002, -0.005}) {  // height of the node
       SCOPED_TRACE(left_m);
       v1::Scene scene = empty_scene(0.01);
       v1::Body& cube = add_cube(scene, "cube", Vec3<double>::Zero(), 4);
