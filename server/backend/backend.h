@@ -1,7 +1,9 @@
 #pragma once
 
 #include <array>
+#include <atomic>
 #include <cstdint>
+#include <exception>
 #include <memory>
 #include <span>
 #include <string>
@@ -95,10 +97,21 @@ struct StepHistory {
   double largest_force_squared = 0;           ///< see solver::newton_step
 };
 
-/// The state of one scene on one device. Not thread-safe. A step allocates nothing.
+/// Thrown by a step that `SceneState::stop` ended. The state is then that of no step.
+class StepStopped final : public std::exception {
+ public:
+  const char* what() const noexcept override { return "the step was stopped"; }
+};
+
+/// The state of one scene on one device. Not thread-safe, except for `stop`. A step allocates nothing.
 class SceneState {
  public:
   virtual ~SceneState() = default;
+
+  /// Makes a step under way, and every later one, throw StepStopped soon: solves look at the flag. Any thread may call
+  /// it, so that nobody waits minutes for the end of a scene.
+  void stop() { stopped_.store(true, std::memory_order_relaxed); }
+  bool stopped() const { return stopped_.load(std::memory_order_relaxed); }
 
   /// Runs one step of the model's stages. forces: [tool_count], written. With `gather_visible` the visible positions
   /// are ready when it returns.
@@ -125,6 +138,15 @@ class SceneState {
   /// Replaces the history, in arrays of the same sizes as those of `read_history`; slow. Call it after `write`, which
   /// starts a new history.
   virtual void write_history(const StepHistory& history) = 0;
+
+ protected:
+  const std::atomic<bool>* stop_flag() const { return &stopped_; }
+  void throw_if_stopped() const {
+    if (stopped()) throw StepStopped();
+  }
+
+ private:
+  std::atomic<bool> stopped_{false};
 };
 
 /// A kind of device.

@@ -45,6 +45,7 @@ inline constexpr double kRoundingShare = sizeof(Real) == 4 ? 0.1 : 1e-6;
 ///   view::NewtonControl& control()                     for the next phase; waits until the last one has read it
 ///   NewtonResidual residual()                          of the last evaluation; waits for it
 ///   StepResult result()                                of the last solve or backtrack; waits for it
+///   bool stopped()                                     the step must end soon, whatever its result
 ///
 /// project_to_psd: use the projected stiffness in every iteration.
 /// largest_force_squared: the largest forces at the end of any converged step since the scene's start [N² s²]; read and
@@ -84,7 +85,7 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
   std::uint32_t cg_iterations = 0;
   double best = std::numeric_limits<double>::infinity();
   int since_best = 0;
-  while (total.newton_iterations < max_iterations) {
+  while (total.newton_iterations < max_iterations && !device.stopped()) {
     device.solve();
     StepResult solved = device.result();
     cg_iterations += solved.cg_iterations;
@@ -107,7 +108,7 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
                          solved.cg_relative_residual < kTrustedResidual &&
                          next.moved <= std::numeric_limits<Real>::epsilon();
     double share = 1;
-    for (int halving = 0; halving < kMaxHalvings && !settled && too_long(); ++halving) {
+    for (int halving = 0; halving < kMaxHalvings && !settled && !device.stopped() && too_long(); ++halving) {
       share /= 2;
       next = take_share(share);
     }

@@ -169,6 +169,9 @@ bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
                          (diagnostics == Diagnostics::kIfDue && world_->step_count() >= next_diagnostics_));
     if (diagnosed) diagnose();
     if (recording_) record_step(step, cg_limit, diagnosed, !good);
+  } catch (const backend::StepStopped&) {
+    stop_with_fault("the scene is being unloaded");
+    return false;
   } catch (const std::exception& failure) {
     stop_for_device(failure);
     return false;
@@ -232,6 +235,11 @@ tl::unexpected<Error> Loop::lockstep_error(std::string_view what) const {
       fmt::format("scene '{}' is in lockstep: it steps only when asked, there is nothing to {}", model_.name, what));
 }
 
+/// left: what was not done.
+tl::unexpected<Error> Loop::unload_error(std::string_view left) const {
+  return fail(ErrorCode::kUnavailable, fmt::format("scene '{}' is being unloaded; {}", model_.name, left));
+}
+
 Result<v1::SceneStatus> Loop::do_pause() {
   TM_RETURN_IF_ERROR(status_.require_not_faulted());
   if (status_.state() == v1::SceneStatus::STATE_LOCKSTEP) return lockstep_error("pause");
@@ -258,13 +266,12 @@ Result<v1::SceneStatus> Loop::do_step(std::uint32_t count) {
                             model_.name));
   }
   for (std::uint32_t i = 0; i < count; ++i) {
-    if (cancelled_.load(std::memory_order_relaxed)) {
-      return fail(ErrorCode::kUnavailable,
-                  fmt::format("scene '{}' is being unloaded; {} of {} steps were done", model_.name, i, count));
-    }
+    const auto unloaded = [&] { return unload_error(fmt::format("{} of {} steps were done", i, count)); };
+    if (cancelled_.load(std::memory_order_relaxed)) return unloaded();
     const Clock::time_point begin = Clock::now();
     const bool last = i + 1 == count;
     if (!step_once(lockstep_frame_due(begin, last), last ? Diagnostics::kNow : Diagnostics::kIfDue)) {
+      if (cancelled_.load(std::memory_order_relaxed)) return unloaded();
       const Result<void> fault = status_.require_not_faulted();
       TM_ASSERT(!fault, "a step that failed stopped the scene");
       return tl::make_unexpected(fault.error());

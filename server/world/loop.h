@@ -90,8 +90,11 @@ class Loop {
   /// Goes on from what another loop of the same scene knows of clients that send poses.
   void know_clients_of(Loop& other);
   void count_malformed_pose() { status_.count_malformed_pose(); }
-  /// Ends a `do_step` in progress after the step at hand.
-  void cancel() { cancelled_.store(true, std::memory_order_relaxed); }
+  /// Ends the step at hand and a `do_step` in progress, because nobody will see the scene again.
+  void cancel() {
+    cancelled_.store(true, std::memory_order_relaxed);
+    world_->stop();
+  }
 
   // -- the publisher's thread -----------------------------------------------------------------------------------------
 
@@ -160,6 +163,7 @@ class Loop {
   void stop_for_device(const std::exception& failure);
   Result<void> require_state() const;
   Result<void> require_not_recorded(std::string_view change);
+  tl::unexpected<Error> unload_error(std::string_view left) const;
   /// Ends a recording whose reader is stuck.
   void drop_abandoned_recording();
   tl::unexpected<Error> lockstep_error(std::string_view what) const;

@@ -46,10 +46,8 @@ Result<v1::ReplaySceneResponse> Loop::do_replay(const Replay& replay) {
   }
   v1::ReplaySceneResponse response;
   for (const Replay::Step& step : replay.steps) {
-    if (cancelled_.load(std::memory_order_relaxed)) {
-      return fail(ErrorCode::kUnavailable,
-                  fmt::format("scene '{}' is being unloaded; step {} was not replayed", model_.name, step.index));
-    }
+    const auto unloaded = [&] { return unload_error(fmt::format("step {} was not replayed", step.index)); };
+    if (cancelled_.load(std::memory_order_relaxed)) return unloaded();
     if (step.reset) (void)do_reset();
     TM_RETURN_IF_ERROR(status_.require_not_faulted());
     if (step.step != world_->step_count() + 1) {
@@ -66,6 +64,7 @@ Result<v1::ReplaySceneResponse> Loop::do_replay(const Replay& replay) {
     const bool last = &step == &replay.steps.back();
     const bool good =
         make_step(lockstep_frame_due(begin, last), step.diagnosed ? Diagnostics::kNow : Diagnostics::kNever);
+    if (cancelled_.load(std::memory_order_relaxed)) return unloaded();
     if (device_failed_) TM_RETURN_IF_ERROR(status_.require_not_faulted());
     status_.take_time(begin, Clock::now(), true);
     if (good == step.rejected) {

@@ -70,7 +70,7 @@ class Runner {
   Result<v1::SceneStatus> step(std::uint32_t count);
   Result<v1::SceneStatus> reset();
   v1::SceneStatus status() const;
-  /// Ends a `step` in progress after its current step, with kUnavailable, because the scene will be unloaded.
+  /// Ends the step at hand and a `step` in progress, with kUnavailable, because the scene will be unloaded.
   void cancel();
   /// Surface positions after the last step.
   Result<v1::Frame> frame();

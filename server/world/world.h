@@ -87,8 +87,11 @@ class World {
   /// Simulated time for which the tissue is held on end, at most [s].
   static constexpr double kLongestHeldS = 0.1;
 
-  /// Makes a step. Returns false if the scene must stop: the world is then as before the call.
+  /// Makes a step. Returns false if the scene must stop: the world is then as before the call. Throws
+  /// backend::StepStopped after `stop`.
   bool step(bool gather_visible);
+  /// Ends a step under way soon, and every later one. Any thread may call it.
+  void stop() { state_->stop(); }
   /// Limits the iterations of a solve from the next step on, to at most the model's. Retries ignore the limit.
   void set_cg_limit(std::uint32_t cg_max_iterations) {
     TM_ASSERT(cg_max_iterations <= model_->cg_max_iterations, "a budget lowers the model's iterations");

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -54,6 +55,14 @@ def memory_of(server: tm.Server, line: str = "VmRSS") -> int:
     assert server.process is not None
     with open(f"/proc/{server.process.process.pid}/status") as status:
         return next(int(row.split()[1]) * 1024 for row in status if row.startswith(line + ":"))
+
+
+def cpu_time_of(server: tm.Server) -> float:
+    """Returns the CPU time that the daemon has used [s]."""
+    assert server.process is not None
+    with open(f"/proc/{server.process.process.pid}/stat") as stat:
+        user, system = stat.read().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def restart_high_water_mark(server: tm.Server) -> None:

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable, Iterator
 
 import grpc
 import pytest
-from attack_parts import DEADLINE_S, MIB, attacked, block, memory_of, restart_high_water_mark, wait_for
+from attack_parts import (
+    DEADLINE_S,
+    MIB,
+    attacked,
+    block,
+    cpu_time_of,
+    memory_of,
+    restart_high_water_mark,
+    wait_for,
+)
 
 import tensormass as tm
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2
@@ -93,6 +103,33 @@ def test_a_load_is_refused_before_anything_is_allocated(record_property: Callabl
             grown = memory_of(server, "VmHWM") - before
         record_property("now", f"refused, +{grown / MIB:.1f} MiB")
         assert grown < 16 * MIB
+
+
+@pytest.mark.attack("UnloadScene in a first step that takes minutes", "hangs until the step ends")
+def test_a_scene_is_unloaded_in_the_middle_of_a_step(
+    server: tm.Server, stub: control_pb2_grpc.ControlStub, record_property: Callable[[str, object], None]
+) -> None:
+    message = grid(24)
+    message.solver.integrator = scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
+    message.bodies[0].fixed.add().box.CopyFrom(block().message.bodies[0].fixed[0].box)
+    # Soft and nearly incompressible, so that no iteration settles.
+    law = message.bodies[0].law.st_venant_kirchhoff
+    law.young_modulus_pa, law.poisson_ratio = 100, 0.499
+    message.gravity_m_per_s2.z = -9.81
+    message.solver.cg_max_iterations = 100_000
+    message.solver.cg_tolerance = 0
+    message.solver.newton_max_iterations = 10_000
+    message.solver.newton_tolerance = 1e-12
+    server.load(tm.Scene(message=message), lockstep=True)
+    before = cpu_time_of(server)
+    step = stub.StepScene.future(control_pb2.StepSceneRequest(scene="block", count=1), timeout=DEADLINE_S)
+    wait_for("the middle of the step", lambda: cpu_time_of(server) > before + 0.5)
+    begin = time.monotonic()
+    stub.UnloadScene(control_pb2.UnloadSceneRequest(scene="block"), timeout=DEADLINE_S)
+    record_property("now", f"returns after {time.monotonic() - begin:.2f} s")
+    assert step.exception(timeout=DEADLINE_S) is not None
+    assert step.code() == grpc.StatusCode.UNAVAILABLE, step.details()
+    assert "is being unloaded" in step.details()
 
 
 def test_loads_that_fit_one_by_one_do_not_pass_the_limit_of_all() -> None:

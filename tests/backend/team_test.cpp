@@ -1,5 +1,7 @@
 #include "backend/cpu/team.h"
 
+#include <atomic>
+#include <cmath>
 #include <thread>
 #include <vector>
 
@@ -43,6 +45,30 @@ TEST(Team, OnePatchExchangesWithNobody) {
   team.exchange(sums, static_cast<double*>(nullptr));
   EXPECT_EQ(sums[0], 3);
   EXPECT_TRUE(team.leads());
+}
+
+/// A solve ends when a sum is not a number, so all patches must get it in the same exchange, whenever the flag comes.
+TEST(Team, AllPatchesGetAStopInTheSameExchange) {
+  constexpr std::uint32_t kPatches = 3;
+  Barrier barrier(kPatches);
+  std::vector<float> scratch(2 * 4 * kPatches);
+  std::vector<std::uint32_t> ended(kPatches);
+  std::atomic<bool> stopped{false};
+  const auto run = [&](std::uint32_t patch) {
+    Team team(patch, kPatches, barrier, &stopped);
+    for (std::uint32_t& i = ended[patch];; ++i) {
+      if (patch == 1 && i == 500) stopped = true;
+      float sums[2] = {1, 1};
+      team.exchange(sums, scratch.data() + std::size_t{i & 1} * 4 * kPatches);
+      if (std::isnan(sums[1])) return;
+    }
+  };
+  std::vector<std::jthread> threads;
+  for (std::uint32_t patch = 1; patch < kPatches; ++patch) threads.emplace_back(run, patch);
+  run(0);
+  threads.clear();  // joins
+  EXPECT_GE(ended[0], 499u);
+  EXPECT_EQ(ended, std::vector<std::uint32_t>(kPatches, ended[0]));
 }
 
 TEST(Team, OneOfAllPatchesLeads) {

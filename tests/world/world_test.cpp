@@ -53,6 +53,17 @@ TEST_P(Mechanics, FreeFallIsExact) {
   }
 }
 
+TEST_P(Mechanics, AStoppedSceneMakesNoStep) {
+  for (const std::uint32_t iterations : {1u, 20u}) {
+    v1::Scene scene = tests::beam_scene();
+    scene.mutable_solver()->set_newton_max_iterations(iterations);
+    const auto world = start(scene);
+    ASSERT_TRUE(world->step(false));
+    world->stop();
+    EXPECT_THROW(world->step(false), backend::StepStopped);
+  }
+}
+
 /// Without loads, element forces are rounding errors, and Newton's method must not try to reduce them. Every step
 /// converges and the body keeps its velocity.
 TEST_P(Mechanics, NewtonsMethodLetsAFreeBodyFly) {

@@ -75,6 +75,7 @@ class CpuState final : public SceneState {
       run_team(kWholeStep | (input.gather_visible ? command(step::Phase::kFrame) : 0));
       result = this->result();
     }
+    throw_if_stopped();
     read_forces<Real>({view_.contact.tool_loads, std::size_t{view_.contact.tool_count} * view_.patches.patch_count},
                       forces);
     result.min_det_f = read_volume<Real>(model_, result.min_det_f,
@@ -181,7 +182,7 @@ class CpuState final : public SceneState {
   }
 
   void run_patch(std::uint32_t patch, Command what) {
-    cpu::Team team(patch, view_.patches.patch_count, barrier_);
+    cpu::Team team(patch, view_.patches.patch_count, barrier_, stop_flag());
     for (const step::Stage& stage : stages_) {
       if ((what & command(stage.info->phase)) == 0) continue;
       if (stage.info->kind == step::StageKind::kElements) {

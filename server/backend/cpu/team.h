@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <limits>
 
 #include "core/pack.h"
 
@@ -54,8 +55,9 @@ class Team {
   /// Stages with code for a single thread ask for this member.
   static constexpr bool kOneThread = true;
 
-  Team(std::uint32_t patch, std::uint32_t patch_count, Barrier& barrier)
-      : patch_(patch), patch_count_(patch_count), barrier_(barrier) {}
+  /// stopped: true ends the step; any thread may set it. nullptr: nobody does.
+  Team(std::uint32_t patch, std::uint32_t patch_count, Barrier& barrier, const std::atomic<bool>* stopped = nullptr)
+      : patch_(patch), patch_count_(patch_count), barrier_(barrier), stopped_(stopped) {}
 
   std::uint32_t patch() const { return patch_; }
   /// True in one thread of all patches.
@@ -110,9 +112,13 @@ class Team {
   /// Replaces `sums` by their sums over all patches, and makes everything that a patch wrote before visible to all
   /// patches.
   /// scratch: [patch_count, 4]; must differ from that of the previous exchange.
+  /// After a stop the last sum is not a number, in all patches alike, because one patch looks. A solve ends with it.
   template <class Real, std::size_t Count>
   void exchange(Real (&sums)[Count], Real* scratch) {
     static_assert(Count <= 4);
+    if (leads() && stopped_ != nullptr && stopped_->load(std::memory_order_relaxed)) {
+      sums[Count - 1] = std::numeric_limits<Real>::quiet_NaN();
+    }
     if (patch_count_ == 1) return;
     for (std::size_t i = 0; i < Count; ++i) scratch[4 * patch_ + i] = sums[i];
     barrier_.arrive_and_wait();
@@ -126,6 +132,7 @@ class Team {
  private:
   const std::uint32_t patch_, patch_count_;
   Barrier& barrier_;
+  const std::atomic<bool>* const stopped_;
 };
 
 }  // namespace tensormass::backend::cpu

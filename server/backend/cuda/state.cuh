@@ -116,6 +116,7 @@ class CudaState final : public SceneState {
     }
     if (input.gather_visible) launch_frame();
     wait("step");
+    throw_if_stopped();
     read_forces<Real>(loads_.span(), forces);
     if (!model_.iterates()) result = this->result();
     result.min_det_f = read_volume<Real>(model_, result.min_det_f, min_det_f_.span());
