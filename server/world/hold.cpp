@@ -166,7 +166,7 @@ Pose Hold::give_way(const Pose& tried, const Load& load) {
   return within_reach(end);
 }
 
-Pose Hold::back_off(double distance, const Load& tried) {
+Pose Hold::back_off(double distance, const Load& tried, const Vec3<double>& hand_m) {
   gives_way_ = true;
   has_over_ = false;
   Pose end = start_.pose;
@@ -178,9 +178,9 @@ Pose Hold::back_off(double distance, const Load& tried) {
     end.position_m += out * (distance_m / size);
     break;
   }
-  const Vec3<double> back = end.position_m - wanted_.position_m;
-  const double farthest_m = std::max(kFarthestBack * arm_m(), (start_.pose.position_m - wanted_.position_m).norm());
-  if (back.norm() > farthest_m) end.position_m = wanted_.position_m + farthest_m * back.normalized();
+  const Vec3<double> back = end.position_m - hand_m;
+  const double farthest_m = std::max(kFarthestBack * arm_m(), (start_.pose.position_m - hand_m).norm());
+  if (back.norm() > farthest_m) end.position_m = hand_m + farthest_m * back.normalized();
   for (std::size_t j = 0; j < tool_->joints.size(); ++j) {
     const double load = start_.load.joints[j] != 0 ? start_.load.joints[j] : tried.joints[j];
     if (load != 0 && std::isfinite(load)) end.joint_values[j] += std::copysign(distance_m / arm_m(), load);

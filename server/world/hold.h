@@ -62,7 +62,8 @@ class Hold {
   /// Returns the pose for the next trial of the step, after one that could not be made: where the step began, and from
   /// there out of the tissue, by a distance in units of the way that the largest speed allows in a step.
   /// tried: load of that trial; it shows the way out for a tool that felt nothing before.
-  Pose back_off(double distance, const Load& tried);
+  /// hand_m: where the client has the hand; the tool stays near to it.
+  Pose back_off(double distance, const Load& tried, const Vec3<double>& hand_m);
   /// Keeps the tool where it is for about a time, after which it follows the hand again.
   void wait(double time_s, double dt_s);
   /// Ends a step that was made: caution fades.

@@ -105,6 +105,7 @@ void write_tool(const World::Saved::Tool& tool, const model::ToolModel& model, v
              *out.mutable_target());
   out.set_fade(motion.fade);
   out.set_leaves(motion.leaves);
+  out.set_comes_back(motion.comes_back);
   out.set_target_age_s(motion.target_age_s);
   write_vector(tool.force.force_n, *out.mutable_force_n());
   write_vector(tool.force.torque_n_m, *out.mutable_torque_n_m());
@@ -171,6 +172,7 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
   TM_ASSIGN_OR_RETURN(fade, model::read_number(message.fade(), 0, 1, where + ".fade"));
   out.motion.fade = fade;
   out.motion.leaves = message.leaves();
+  out.motion.comes_back = message.comes_back();
   TM_ASSIGN_OR_RETURN(age, read_finite(message.target_age_s(), where + ".target_age_s"));
   out.motion.target_age_s = age;
   TM_ASSIGN_OR_RETURN(force, model::read_vector(message.force_n(), where + ".force_n", limits::kMaxForceN));
@@ -208,7 +210,12 @@ Result<backend::StepHistory> read_history(const v1::SnapshotState& message, cons
   TM_ASSIGN_OR_RETURN(velocity, read_doubles(message.previous_velocity(), present.previous_velocity.size(),
                                              "previous_velocity", limits::kMaxLength));
   TM_ASSIGN_OR_RETURN(slips, read_doubles(message.slips(), present.slips.size(), "slips"));
-  TM_ASSIGN_OR_RETURN(tie_slips, read_doubles(message.tie_slips(), present.tie_slips.size(), "tie_slips"));
+  // Snapshots without friction of bodies did not say on which side of its own surface a node is: as after a load.
+  std::vector<double> tie_slips(present.tie_slips.size(), 0.0);
+  if (!message.tie_slips().empty()) {
+    TM_ASSIGN_OR_RETURN(read, read_doubles(message.tie_slips(), tie_slips.size(), "tie_slips"));
+    tie_slips = std::move(read);
+  }
   TM_ASSIGN_OR_RETURN(broken, read_doubles(message.broken_springs(), present.broken.size(), "broken_springs"));
   TM_ASSIGN_OR_RETURN(solution, read_doubles(message.solution(), present.solution.size(), "solution"));
   TM_ASSIGN_OR_RETURN(last_dt_s, read_finite(message.last_dt_s(), "last_dt_s"));

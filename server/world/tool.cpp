@@ -81,7 +81,7 @@ void ToolMotion::move(double dt_s, const backend::ToolForce& load) {
   if (retired() && valid) jump(target_);
   const double rises_s = valid && !current_.leaves ? dt_s : -dt_s;
   current_.fade = planned_fade_ = std::clamp(current_.fade + rises_s / kFadeS, 0.0, 1.0);
-  comes_back_ = comes_back_ && !present();
+  comes_back_ = comes_back_ && !present() && !retired();
 
   const double reach_m = tool_->max_speed_m_per_s * dt_s;
   Pose hand = current_.pose;
@@ -106,7 +106,7 @@ void ToolMotion::give_way(const backend::ToolForce& load) { end_at(hold_.give_wa
 
 void ToolMotion::back_off(double distance, const backend::ToolForce& tried) {
   current_.fade = planned_fade_;
-  end_at(hold_.back_off(distance, on_hand(tried)));
+  end_at(hold_.back_off(distance, on_hand(tried), target_.position_m));
 }
 
 /// Moves the end of the step.

@@ -137,6 +137,7 @@ class ToolMotion {
     double fade = 1;          ///< fourth root of the presence
     double target_age_s = 0;  ///< time since the target was set
     bool leaves = false;      ///< see ToolMotion::leave
+    bool comes_back = false;  ///< see ToolMotion::comes_back
     // Only for a tool with a mass.
     Vec3<double> hand_m = Vec3<double>::Zero();
     Vec3<double> hand_m_per_s = Vec3<double>::Zero();
@@ -151,6 +152,7 @@ class ToolMotion {
             current_.fade,
             current_.target_age_s,
             current_.leaves,
+            comes_back_,
             current_.hand_m,
             current_.hand_m_per_s,
             current_.velocity_m_per_s,
@@ -164,7 +166,7 @@ class ToolMotion {
                 saved.fade, saved.target_age_s, saved.leaves};
     felt_ = saved.felt;
     hold_.restore(saved.hold);
-    comes_back_ = false;
+    comes_back_ = saved.comes_back;
   }
 
   const Pose& pose() const { return current_.pose; }

@@ -177,7 +177,7 @@ bool World::step(bool gather_visible) {
   recovering_ = recovering_ || begins_to_leave;
   stuck_s_ = std::max(0.0, stuck_s_ + (recovering_ ? kWeightOfRecovery : -1) * model_->dt_s);
   if (gather_visible && (has_event_ || moves_tools)) state_->gather_visible();
-  bodies_touch_ = last_.touching_nodes > 0;
+  if (check.good()) bodies_touch_ = last_.touching_nodes > 0;  // a held step leaves contact as it was
   energy_.add_step(last_.kinetic_energy_j, last_.work_j, tools_work_j_);
   ++step_count_;
   // No spring heals between two steps, so an equal count means the same springs.
@@ -528,7 +528,7 @@ void World::restore(const Saved& saved) {
   step_count_ = saved.step_count;
   last_ = {};
   has_event_ = false;
-  contact_jumped_ = false;  // saved as a history that starts anew
+  contact_jumped_ = trial_jumped_ = false;  // saved as a history that starts anew; read_tools copies the second
   held_steps_ = saved.held_steps;
   recovering_ = saved.recovering;
   stuck_s_ = saved.stuck_s;

@@ -1,6 +1,5 @@
 // What a hand feels when a step cannot be made: the whole haptic client against a scene whose backend fails as planned,
-// in simulated time. Each case prints a row of the table in
-// docs/decisions/haptics.md.
+// in simulated time. Each case prints a row of the table in docs/decisions/haptics.md.
 
 #include <algorithm>
 #include <atomic>
@@ -31,6 +30,7 @@ constexpr std::uint64_t kClientId = 1;
 /// The hand approaches for 0.5 s and presses until 1.6 s, 7 mm deep if it were rigid.
 constexpr double kScriptPeriodS = 2.0, kHoldEndsS = 1.6;
 constexpr double kSurfaceM = 0.06, kPressM = 0.007;
+constexpr double kRadiusM = 0.01;  // of the probe
 /// The fault comes while the hand holds, and its effects are looked at for this long.
 constexpr double kFaultS = 1.0, kAfterS = 0.4;
 
@@ -81,6 +81,8 @@ class SceneLink final : public Link {
   /// Whether a step failed for good.
   bool stopped() const { return stopped_; }
   std::uint64_t recovering_steps() const { return recovering_steps_; }
+  /// Largest distance of the tool from the newest pose of the hand, in steps that recover [m].
+  double farthest_m() const { return farthest_m_; }
 
  private:
   void step_until(std::int64_t now_ns) {
@@ -93,6 +95,10 @@ class SceneLink final : public Link {
       scene_->set_tool_target(0, {newest_->pose.position_m, {1, 0, 0, 0}, {}}, stamp);
       stopped_ = !scene_->step(false);
       recovering_steps_ += scene_->recovering();
+      if (scene_->recovering()) {
+        const double from_hand_m = (scene_->readings()[0].pose.position_m - newest_->pose.position_m).norm();
+        farthest_m_ = std::max(farthest_m_, from_hand_m);
+      }
       world::fill_feedback(scene_->model(), {.step = scene_->step_count()}, 0, scene_->readings()[0], message_);
       inbox_.offer(message_.SerializeAsString(), next_step_ns_);
     }
@@ -107,6 +113,7 @@ class SceneLink final : public Link {
   FeedbackInbox inbox_;
   bool stopped_ = false;
   std::uint64_t recovering_steps_ = 0;
+  double farthest_m_ = 0;
 };
 
 /// Keeps the force that each tick wrote.
@@ -141,6 +148,7 @@ struct Felt {
   double change_n = 0;  ///< largest from one tick to the next
   double moved_m = 0;   ///< how far the hand went
   double after_n = 0;
+  double farthest_m = 0;  ///< see SceneLink
   std::uint64_t recoveries = 0, recovering_steps = 0;
   bool stopped = false;
 };
@@ -187,6 +195,7 @@ class RecoveryFelt : public tests::OnFaultyBackend {
     felt.stopped = link.stopped();
     felt.recoveries = report.recoveries;
     felt.recovering_steps = link.recovering_steps();
+    felt.farthest_m = link.farthest_m();
     double depth_m = 0;
     for (std::size_t i = 1; i < device.times_s.size(); ++i) {
       const double time_s = device.times_s[i], force_n = device.forces_n[i].y();
@@ -238,6 +247,8 @@ TEST_P(RecoveryFelt, ALongHoldFadesAndTheForceComesBack) {
     EXPECT_LE(felt.most_n, 3.0);
     EXPECT_LE(felt.change_n, 0.3 * (1 + 1e-9)) << "300 N/s";
     EXPECT_NEAR(felt.after_n, felt.before_n, 0.1 * felt.before_n);
+    EXPECT_GT(felt.farthest_m, kRadiusM) << "the tool backs off while the tissue is held";
+    EXPECT_LT(felt.farthest_m, 2 * kRadiusM + kPressM) << "two radii from the hand, and what the hand moves in a step";
   }
 }
 
