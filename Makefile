@@ -22,7 +22,7 @@ SHELL := bash
 MAKEFLAGS += --no-print-directory
 
 BUILD ?= build
-JOBS ?= $(shell nproc)
+JOBS ?= $(shell .setup/cores.sh)
 SCENE ?= demo
 BACKEND ?= cpu
 RUN_ARGS ?=

@@ -7,9 +7,11 @@ set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 build=${BUILD:-build}
 logs=$build/test-logs
-jobs=${JOBS:-$(nproc)}
+jobs=${JOBS:-$(.setup/cores.sh)}
 mkdir -p "$logs"
 export PATH=$PWD/.venv/bin:$PATH
+# gRPC asks a proxy for loopback, too.
+export no_proxy=${no_proxy:+$no_proxy,}127.0.0.1,localhost,::1
 
 run_lint() { tests/lint.sh; }
 run_ctest() { ctest --test-dir "$build" -j "$jobs" --output-on-failure --no-tests=error; }

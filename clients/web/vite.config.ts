@@ -9,5 +9,6 @@ export default defineConfig({
   },
   test: {
     include: ["test/**/*.test.ts"],
+    testTimeout: 60_000, // against hanging only
   },
 });

@@ -25,8 +25,10 @@ export default defineConfig({
   server: { fs: { allow: [root] } },
   test: {
     include: ["tests/e2e/**/*.test.ts"],
-    testTimeout: 60_000,
-    hookTimeout: 60_000,
+    // Bounds against hanging only: a software renderer beside other work may take long.
+    testTimeout: 300_000,
+    hookTimeout: 300_000,
+    expect: { poll: { timeout: 60_000 } },
     // One daemon and one software renderer already use two cores.
     fileParallelism: false,
   },

@@ -129,17 +129,17 @@ def test_scene_of_a_client_that_fell_silent_is_free_again(server: tm.Server) -> 
     for name in ("windowless", "stopped", "honest"):
         server.load(block(), name=name, lockstep=True)
     silent = SilentClient(server.address, "windowless")
+    channel = grpc.insecure_channel(server.address)
+    stub = control_pb2_grpc.ControlStub(channel)
+    wait_until(True, stub, "windowless")  # at once, because its lease runs
     stopped = subprocess.Popen(
         [sys.executable, "-c", STOPPED, server.address, "stopped"], stdout=subprocess.PIPE, text=True
     )
-    channel = grpc.insecure_channel(server.address)
-    stub = control_pb2_grpc.ControlStub(channel)
     honest = stub.RecordScene(control_pb2.RecordSceneRequest(scene="honest", reset=True))
     try:
         assert stopped.stdout is not None
         assert stopped.stdout.readline() == "records\n"
         assert next(honest).HasField("start")
-        wait_until(True, stub, "windowless")
         wait_until(False, stub, "windowless")
         another = stub.RecordScene(control_pb2.RecordSceneRequest(scene="windowless"))
         assert next(another).HasField("start")

