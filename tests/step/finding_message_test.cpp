@@ -47,7 +47,9 @@ TEST(FindingKinds, AreInTheDocument) {
   ASSERT_TRUE(file);
   std::set<std::string> rows;
   for (std::string line; std::getline(file, line);) {
-    if (line.starts_with("| `")) EXPECT_TRUE(rows.insert(line).second) << line;
+    if (line.starts_with("| `")) {
+      EXPECT_TRUE(rows.insert(line).second) << line;
+    }
   }
   for (const FindingKind& kind : kFindingKinds) {
     EXPECT_EQ(rows.erase(row_of(kind)), 1u) << "docs/findings.md needs this row:\n" << row_of(kind);
