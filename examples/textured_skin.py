@@ -2,7 +2,7 @@
 
 Shows: a skin as arrays, texture coordinates of its triangles, a picture from memory.
 Needs: `tensormass run demo`, which prints `control ADDRESS`; the extras `meshes` and `plot`.
-Run:   python examples/textured_skin.py ADDRESS     then choose the scene `textured` in the viewer
+Run:   python examples/textured_skin.py ADDRESS [KEYS]     then choose the scene `textured` in the viewer
 """
 
 import io
@@ -42,7 +42,7 @@ def main() -> None:
     places = (vertices - vertices.min(axis=0))[:, :2] / np.ptp(vertices[:, :2], axis=0).max()
     liver.texture.coordinates = places[triangles].astype("<f4").tobytes()
     liver.texture.image = painted_png()
-    with tm.connect(sys.argv[1]) as server:
+    with tm.connect(sys.argv[1], keys=sys.argv[2] if len(sys.argv) > 2 else None) as server:
         handle = server.load(scene)
         print(f"loaded {handle.name}: {len(triangles):,} triangles, a picture of {len(liver.texture.image):,} bytes")
 

@@ -2,10 +2,12 @@
 
 Shows: keys, the topology by a query, the newest frame, poses; docs/protocol.md has the rules.
 Needs: eclipse-zenoh, protobuf, and the protocol's Python code (examples/README.md).
-Run:   python examples/zenoh_client.py LOCATOR SCENE TOOL
+Run:   python examples/zenoh_client.py LOCATOR SCENE TOOL [KEYS]
        `tensormass status` prints the locator, for example tcp/127.0.0.1:7447
+       KEYS: file of `tensormass keys add`, for a daemon with keys
 """
 
+import base64
 import json
 import math
 import secrets
@@ -20,9 +22,20 @@ SECONDS, POLLS_PER_S = 3.0, 240
 TRAVEL_M = 0.04  # down along z; from the demo's start to 10 mm into its liver
 
 
-def connect(locator: str) -> zenoh.Session:
+def tls(file: str) -> dict[str, object]:
+    with open(file, encoding="utf-8") as text:
+        keys = json.load(text)
+    parts = {"root_ca": "authority", "connect": "certificate"}
+    shown = {f"{part}_certificate_base64": keys[name] for part, name in parts.items()}
+    shown["connect_private_key_base64"] = keys["private_key"]
+    coded = {name: base64.b64encode(value.encode()).decode() for name, value in shown.items()}
+    return {f"transport/link/tls/{name}": value for name, value in {**coded, "enable_mtls": True}.items()}
+
+
+def connect(locator: str, keys: str | None) -> zenoh.Session:
     config = zenoh.Config()
-    for name, value in {"mode": "client", "connect/endpoints": [locator], "scouting/multicast/enabled": False}.items():
+    settings = {"mode": "client", "connect/endpoints": [locator], "scouting/multicast/enabled": False}
+    for name, value in {**settings, **(tls(keys) if keys else {})}.items():
         config.insert_json5(name, json.dumps(value))
     try:
         return zenoh.open(config)
@@ -30,9 +43,9 @@ def connect(locator: str) -> zenoh.Session:
         sys.exit(f"no daemon at {locator}; `tensormass status` prints its locator ({error})")
 
 
-def main(locator: str, scene: str, tool: str) -> None:
+def main(locator: str, scene: str, tool: str, keys: str | None = None) -> None:
     key = f"tensormass/local/{scene}"  # "local" is the daemon's name
-    with connect(locator) as session:
+    with connect(locator, keys) as session:
         replies = [reply.ok.payload.to_bytes() for reply in session.get(f"{key}/topology") if reply.ok]
         if not replies:
             sys.exit(f"no scene {scene} at {locator}")
@@ -72,4 +85,4 @@ def main(locator: str, scene: str, tool: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:]) if len(sys.argv) == 4 else sys.exit(__doc__)
+    main(*sys.argv[1:]) if len(sys.argv) in (4, 5) else sys.exit(__doc__)

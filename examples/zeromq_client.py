@@ -2,10 +2,12 @@
 
 Shows: keys, poses, feedback to one's own poses, the local model, lifting off; docs/protocol.md has the rules.
 Needs: pyzmq, protobuf, and the protocol's Python code (examples/README.md).
-Run:   python examples/zeromq_client.py PUBLISH_ENDPOINT POSE_ENDPOINT SCENE TOOL
+Run:   python examples/zeromq_client.py PUBLISH_ENDPOINT POSE_ENDPOINT SCENE TOOL [KEYS]
        `tensormass status` prints the endpoints, for example tcp://127.0.0.1:50052 tcp://127.0.0.1:50053
+       KEYS: file of `tensormass keys add`, for a daemon with keys
 """
 
+import json
 import math
 import secrets
 import sys
@@ -36,11 +38,21 @@ def force_at(hand: scene_pb2.Vector3, feedback: stream_pb2.ToolFeedback) -> list
     return [getattr(feedback.force_n, axis) - spring for axis, spring in zip("xyz", spring_n, strict=True)]
 
 
-def main(publish_endpoint: str, pose_endpoint: str, scene: str, tool: str) -> None:
+def show_keys(file: str, socket: zmq.Socket[bytes]) -> None:
+    with open(file, encoding="utf-8") as text:
+        keys = json.load(text)
+    parts = {zmq.CURVE_SERVERKEY: "server", zmq.CURVE_PUBLICKEY: "public", zmq.CURVE_SECRETKEY: "secret"}
+    for option, part in parts.items():
+        socket.setsockopt(option, keys[f"curve_{part}"].encode())
+
+
+def main(publish_endpoint: str, pose_endpoint: str, scene: str, tool: str, keys: str | None = None) -> None:
     key = f"tensormass/local/{scene}/tool/{tool}"  # "local" is the daemon's name
     feedback_prefix, pose_prefix = f"{key}/feedback\0".encode(), f"{key}/pose\0".encode()
     context = zmq.Context()
     feedbacks, poses = context.socket(zmq.SUB), context.socket(zmq.PUSH)
+    for socket in (feedbacks, poses) if keys else ():
+        show_keys(keys or "", socket)
     feedbacks.setsockopt(zmq.CONFLATE, 1)  # the newest only
     feedbacks.setsockopt(zmq.SUBSCRIBE, feedback_prefix)
     feedbacks.connect(publish_endpoint)
@@ -76,4 +88,4 @@ def main(publish_endpoint: str, pose_endpoint: str, scene: str, tool: str) -> No
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:]) if len(sys.argv) == 5 else sys.exit(__doc__)
+    main(*sys.argv[1:]) if len(sys.argv) in (5, 6) else sys.exit(__doc__)

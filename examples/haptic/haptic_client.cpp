@@ -1,6 +1,6 @@
 // A haptic device of your own on one tool of a running scene, at 1 kHz:
 //
-//     haptic_client 127.0.0.1:50051 demo probe 5      server, scene, tool, seconds
+//     haptic_client 127.0.0.1:50051 demo probe 5      server, scene, tool, seconds; a file of `tensormass keys add`
 //
 // MyDevice stands in for a driver: it presses one tool radius into the nearest tissue and lifts, once in two seconds.
 // Replace its functions by your driver's. The loop between read() and write_force(): haptic/loop.h.
@@ -8,6 +8,7 @@
 #include <iostream>
 #include <numbers>
 
+#include "haptic/client_keys.h"
 #include "haptic/discovery.h"
 #include "haptic/run_device.h"
 #include "haptic/zeromq_link.h"
@@ -37,9 +38,15 @@ class MyDevice final : public Device {
   DeviceInfo info_{"mine", 3.0, 1000.0, 5.0};
 };
 
-Result<LoopReport> run(const std::string& server, const std::string& scene, const std::string& name, double seconds) {
+Result<LoopReport> run(const std::string& server, const std::string& scene, const std::string& name, double seconds,
+                       const std::string& keys_file) {
   const std::atomic<bool> stop = false;  // a signal handler may set it
-  const Patience patience{10.0, stop};
+  ClientKeys keys;
+  if (!keys_file.empty()) {
+    TM_ASSIGN_OR_RETURN(read, read_client_keys(keys_file));
+    keys = read;
+  }
+  const Patience patience{10.0, stop, keys};
   TM_ASSIGN_OR_RETURN(tool, discover_tool(server, scene, name, patience));
   TM_ASSIGN_OR_RETURN(surface, fetch_surface(server, scene, patience));
   TM_ASSIGN_OR_RETURN(aim, aim_at_nearest_surface(tool, surface));
@@ -51,8 +58,8 @@ Result<LoopReport> run(const std::string& server, const std::string& scene, cons
 }
 
 int main(int argc, char** argv) {
-  if (argc != 5) return std::cerr << "usage: haptic_client SERVER SCENE TOOL SECONDS\n", 2;
-  const Result<LoopReport> report = run(argv[1], argv[2], argv[3], std::atof(argv[4]));
+  if (argc != 5 && argc != 6) return std::cerr << "usage: haptic_client SERVER SCENE TOOL SECONDS [KEYS]\n", 2;
+  const Result<LoopReport> report = run(argv[1], argv[2], argv[3], std::atof(argv[4]), argc == 6 ? argv[5] : "");
   if (!report) return std::cerr << "haptic_client: " << report.error().message << '\n', 1;
   if (report->feedback_received == 0) return std::cerr << "haptic_client: no feedback; is the scene paused?\n", 3;
   std::cout << "largest force: " << report->max_force_n << " N in " << report->ticks << " ticks\n";

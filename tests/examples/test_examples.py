@@ -22,7 +22,7 @@ from tensormass._src import processes
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
-MAX_LINES = 60  # without docstring and empty lines
+MAX_LINES = 70  # without docstring and empty lines
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +143,28 @@ def test_the_zenoh_client_sees_the_liver_move_and_lifts_off(
     assert 3.0 < moved_mm < 40.0
     assert 0.3 < force_n < 3.0
     check_lifted(scene)
+
+
+def test_clients_show_their_keys(daemon: None, generated: Path, tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="needs the extra `keys`")
+    from tensormass_tools.keys.folder import KeyFolder
+
+    folder = KeyFolder(tmp_path / "keys")
+    folder.init([], 30)
+    keys = folder.add("console", "operator")
+    with tm.launch(backend="cpu", cpu_threads=1, options=("--keys", str(folder.path)), keys=keys) as server:
+        scene = server.load("demo")
+        version = server.version()
+        assert run(EXAMPLES / "textured_skin.py", server.address, keys.path).startswith("loaded textured")
+        server.scene("textured").unload()
+        endpoints = [version.zeromq_publish_endpoint, version.zeromq_pose_endpoint]
+        zeromq = run(EXAMPLES / "zeromq_client.py", *endpoints, "demo", "probe", keys.path, PYTHONPATH=generated)
+        assert " forces, the largest " in zeromq
+        check_lifted(scene)
+        locator = version.zenoh_locator
+        seen = run(EXAMPLES / "zenoh_client.py", locator, "demo", "probe", keys.path, PYTHONPATH=generated)
+        assert "liver moved by" in seen
+        check_lifted(scene)
 
 
 def test_the_zenoh_client_says_what_is_missing(demo: tuple[tm.Server, tm.SceneHandle]) -> None:
