@@ -36,12 +36,15 @@ def viewer(tmp_path: Path) -> Path:
     return make_viewer(tmp_path / "dist")
 
 
-def test_page_and_stream_open_while_a_stranger_holds_every_connection(viewer: Path) -> None:
+def test_page_and_stream_open_while_a_stranger_holds_every_connection(viewer: Path, tmp_path: Path) -> None:
     program = (
         "import argparse, sys; from tensormass_gateway import command, options; parser = argparse.ArgumentParser();"
         "parser.add_argument('--server'); options.add_arguments(parser); sys.exit(command.run(parser.parse_args()))"
     )
-    arguments = ["--server", "127.0.0.1:1", "--viewer", str(viewer), "--token", TOKEN]
+    token = tmp_path / "token"
+    token.touch(mode=0o600)
+    token.write_text(TOKEN)
+    arguments = ["--server", "127.0.0.1:1", "--viewer", str(viewer), "--token-file", str(token)]
 
     def limited() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (DESCRIPTORS, DESCRIPTORS))
@@ -174,12 +177,15 @@ async def test_refusals_are_logged_without_tokens_and_at_a_bounded_rate(
 # --- what is refused at the start ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("option", ["--token", "--operator-token"])
+@pytest.mark.parametrize("option", ["--token-file", "--operator-token-file"])
 @pytest.mark.parametrize("token", ["", "t", (MIN_TOKEN_CHARACTERS - 1) * "s"])
-def test_short_token_is_refused_at_the_start(viewer: Path, option: str, token: str) -> None:
+def test_short_token_is_refused_at_the_start(viewer: Path, tmp_path: Path, option: str, token: str) -> None:
+    file = tmp_path / "token"
+    file.touch(mode=0o600)
+    file.write_text(token)
     parser = argparse.ArgumentParser()
     add_arguments(parser)
-    given = options_from(parser.parse_args(["--viewer", str(viewer), f"{option}={token}"]), "127.0.0.1:1")
+    given = options_from(parser.parse_args(["--viewer", str(viewer), f"{option}={file}"]), "127.0.0.1:1")
     with pytest.raises(ValueError, match=f"^{option} has {len(token)} characters.* for a random one$") as refusal:
         Gateway(given)
     assert len(token) < 2 or token not in str(refusal.value)

@@ -492,7 +492,11 @@ def test_arguments_stay_on_loopback_unless_told_otherwise() -> None:
     assert (args.host, args.port, args.allow_poses) == ("127.0.0.1", 0, False)
 
 
-def test_arguments_reach_the_gateway(viewer: Path) -> None:
+def test_arguments_reach_the_gateway(viewer: Path, tmp_path: Path) -> None:
+    token, operator_token = tmp_path / "token", tmp_path / "operator-token"
+    for file, content in ((token, "t"), (operator_token, "o\n")):
+        file.touch(mode=0o600)
+        file.write_text(content)
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     given = [
@@ -500,10 +504,10 @@ def test_arguments_reach_the_gateway(viewer: Path) -> None:
         "::1",
         "--port",
         "8000",
-        "--token",
-        "t",
-        "--operator-token",
-        "o",
+        "--token-file",
+        str(token),
+        "--operator-token-file",
+        str(operator_token),
         "--max-browsers",
         "3",
         "--allow-poses",
@@ -521,6 +525,29 @@ def test_arguments_reach_the_gateway(viewer: Path) -> None:
         viewer=viewer,
     )
     assert options_from(parser.parse_args(given), "c:1") == wanted
+
+
+def test_token_files_that_others_read_or_that_are_missing_are_refused(
+    viewer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    open_file = tmp_path / "open"
+    open_file.write_text("a-secret-of-everybody")
+    open_file.chmod(0o644)
+    binary = tmp_path / "binary"
+    binary.touch(mode=0o600)
+    binary.write_bytes(b"\xff\xfe")
+    for file, said in (
+        (open_file, f"every user of this machine can use it; chmod o-rwx {open_file}"),
+        (tmp_path / "none", "cannot be read: No such file or directory"),
+        (binary, "cannot be read: not text"),
+    ):
+        with pytest.raises(SystemExit):
+            parser.parse_args(["--operator-token-file", str(file)])
+        told = capsys.readouterr().err
+        assert f"--operator-token-file: {file}: {said}" in told
+        assert "a-secret" not in told
 
 
 @asynchronous

@@ -42,7 +42,7 @@ _HEADERS = {
 
 def check_tokens(options: GatewayOptions) -> None:
     """Raises ValueError for a token that can be guessed. Never says the token: the message may end in a log."""
-    for option, token in (("--token", options.token), ("--operator-token", options.operator_token)):
+    for option, token in (("--token-file", options.token), ("--operator-token-file", options.operator_token)):
         if len(token) < MIN_TOKEN_CHARACTERS:
             raise ValueError(
                 f"{option} has {len(token)} characters; a token that nobody guesses has {MIN_TOKEN_CHARACTERS} or "

@@ -52,14 +52,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the gateway's options, for `tensormass view` and `tensormass run`."""
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s, loopback)")
     parser.add_argument("--port", type=int, default=0, help="port to listen on; 0: a free one (default)")
-    parser.add_argument(
-        "--token", default=None, help="what a browser must know to look: 16 characters or more (default: random)"
-    )
-    parser.add_argument(
-        "--operator-token",
-        default=None,
-        help="what a browser must know to control scenes: 16 characters or more (default: random)",
-    )
+    for option, does in (("--token-file", "look"), ("--operator-token-file", "control scenes")):
+        parser.add_argument(
+            option,
+            type=_token_argument,
+            metavar="FILE",
+            help=f"holds what a browser must know to {does}: 16 characters or more (default: random)",
+        )
     parser.add_argument("--max-browsers", type=int, default=16, help="browsers at once (default: %(default)s)")
     parser.add_argument(
         "--origin",
@@ -90,7 +89,7 @@ def options_from(args: argparse.Namespace, control: str, *, daemon_has_keys: boo
         daemon_has_keys: whether --keys are for the daemon too, or for the page alone.
     """
     keys = keys_of(getattr(args, "keys", None))
-    tokens = {"token": args.token, "operator_token": args.operator_token}
+    tokens = {"token": args.token_file, "operator_token": args.operator_token_file}
     return GatewayOptions(
         control=control,
         host=args.host,
@@ -103,6 +102,17 @@ def options_from(args: argparse.Namespace, control: str, *, daemon_has_keys: boo
         viewer=args.viewer,
         **{name: token for name, token in tokens.items() if token is not None},
     )
+
+
+def _token_argument(path: str) -> str:
+    """Reads a token. The list of a machine's processes shows arguments to all of its users, so no argument is one."""
+    try:
+        if Path(path).stat().st_mode & 0o007:
+            raise argparse.ArgumentTypeError(f"{path}: every user of this machine can use it; chmod o-rwx {path}")
+        return Path(path).read_text("utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not text"
+        raise argparse.ArgumentTypeError(f"{path}: cannot be read: {reason}") from error
 
 
 def _origin_argument(text: str) -> str:
