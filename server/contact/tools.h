@@ -313,8 +313,8 @@ TM_HOST_DEVICE Real stiffened(Touch<Real>& touch, Real stiffness, Real kept_n, R
   return least;
 }
 
-/// Returns a measure of the stiffness of the element behind a triangle: E times half the leg of a right triangle of this
-/// size [N/m].
+/// Returns a measure of the stiffness of the element behind a triangle: E times half the leg of a right triangle of
+/// this size [N/m].
 template <class Real>
 TM_HOST_DEVICE Real element_stiffness(const view::ContactView<Real>& contact, std::uint32_t triangle) {
   using std::sqrt;

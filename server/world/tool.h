@@ -146,18 +146,9 @@ class ToolMotion {
     Hold::Saved hold;
   };
   Saved save() const {
-    return {current_.pose,
-            target_,
-            valid_for_s_,
-            current_.fade,
-            current_.target_age_s,
-            current_.leaves,
-            comes_back_,
-            current_.hand_m,
-            current_.hand_m_per_s,
-            current_.velocity_m_per_s,
-            felt_,
-            hold_.saved()};
+    return {current_.pose,   target_,      valid_for_s_,    current_.fade,         current_.target_age_s,
+            current_.leaves, comes_back_,  current_.hand_m, current_.hand_m_per_s, current_.velocity_m_per_s,
+            felt_,           hold_.saved()};
   }
   void restore(const Saved& saved) {
     target_ = saved.target;
