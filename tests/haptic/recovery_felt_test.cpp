@@ -30,7 +30,7 @@ constexpr std::uint64_t kClientId = 1;
 /// The hand approaches for 0.5 s and presses until 1.6 s, 7 mm deep if it were rigid.
 constexpr double kScriptPeriodS = 2.0, kHoldEndsS = 1.6;
 constexpr double kSurfaceM = 0.06, kPressM = 0.007;
-constexpr double kRadiusM = 0.01;  // of the probe
+constexpr double kRadiusM = 0.01;  // the probe's
 /// The fault comes while the hand holds, and its effects are looked at for this long.
 constexpr double kFaultS = 1.0, kAfterS = 0.4;
 
