@@ -26,14 +26,15 @@ constexpr std::chrono::milliseconds kPeriod{500};
 
 std::int64_t now_s() { return static_cast<std::int64_t>(std::time(nullptr)); }
 
-/// Changes whenever a file is written or replaced; 0: there is none.
+/// Changes whenever a file is written or replaced, or gets another mode or owner; 0: there is none.
 std::uint64_t signature_of(const std::string& path) {
   struct stat found {};
   if (stat(path.c_str(), &found) != 0) return 0;
   std::uint64_t hash = 1469598103934665603u;
   for (const auto part :
        {static_cast<std::uint64_t>(found.st_ino), static_cast<std::uint64_t>(found.st_size),
-        static_cast<std::uint64_t>(found.st_mtim.tv_sec), static_cast<std::uint64_t>(found.st_mtim.tv_nsec)}) {
+        static_cast<std::uint64_t>(found.st_mtim.tv_sec), static_cast<std::uint64_t>(found.st_mtim.tv_nsec),
+        static_cast<std::uint64_t>(found.st_ctim.tv_sec), static_cast<std::uint64_t>(found.st_ctim.tv_nsec)}) {
     hash = (hash ^ part) * 1099511628211u;
   }
   return hash | 1;
@@ -172,14 +173,19 @@ void KeyRing::run(const std::function<void()>& on_change) {
 
 void KeyRing::read_again() {
   const std::string path = folder_ + "/clients.json";
-  const std::uint64_t seen = signature_of(path);
-  if (seen == std::exchange(seen_, seen)) return;
-  const auto read = [&]() -> Result<ClientList> {
-    TM_ASSIGN_OR_RETURN(text, read_file(path, S_IWOTH, "the list before counts on"));
-    return read_client_list(text, path);
+  // Before the read: what is written during the read is seen the next time.
+  const std::uint64_t signature = signature_of(path);
+  if (signature == seen_) return told_.reset();
+  const auto say = [&](const Error& error) {
+    if (std::exchange(told_, signature) == signature) return;
+    log::error("the list of clients cannot be read", {{"reason", error.message}});
   };
-  auto clients = read();
-  if (!clients) return log::error("the list of clients cannot be read", {{"reason", clients.error().message}});
+  const auto text = read_file(path, S_IWOTH, "the list before counts on");
+  if (!text) return say(text.error());  // it is read again in each period
+  seen_ = signature;
+  auto clients = read_client_list(*text, path);
+  if (!clients) return say(clients.error());
+  told_.reset();
   const std::lock_guard lock(mutex_);
   clients_ = std::move(*clients);
 }

@@ -6,6 +6,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <thread>
@@ -29,7 +30,8 @@ struct DaemonKeys {
 ///     folder/clients.json   read at the start and after each change: who has a key, and which role
 ///
 ///     thread: every kPeriod ─ changed? ─ read ─┬─ good ──> the new list counts
-///                                              └─ missing or broken ──> a line in the log; the list before counts
+///                                              ├─ broken ──> a line in the log; the list before counts
+///                                              └─ missing or unreadable ──> the same, and read again every kPeriod
 ///             who counts has changed, by the file or by the clock ──> on_change()
 ///
 /// A client that is not in the list, or whose key has expired, is nobody. All methods may be called from any thread.
@@ -61,7 +63,10 @@ class KeyRing {
   const DaemonKeys daemon_;
   mutable std::mutex mutex_;
   ClientList clients_;  // guarded by mutex_
-  std::uint64_t seen_;  // signature of the file that was read last; the thread's own
+  // The thread's own: signatures of the file that was read last, and of the one about which the log says why it cannot
+  // be used.
+  std::uint64_t seen_;
+  std::optional<std::uint64_t> told_;
   std::condition_variable wake_;
   bool stopping_ = false;  // guarded by mutex_
   std::thread thread_;

@@ -1,0 +1,95 @@
+#include "access/key_ring.h"
+
+#include <sys/resource.h>
+
+#include <atomic>
+#include <chrono>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <string_view>
+
+#include <gtest/gtest.h>
+#include <spdlog/sinks/base_sink.h>
+#include <spdlog/spdlog.h>
+
+#include "support/eventually.h"
+#include "support/key_folder.h"
+
+namespace tensormass::access {
+namespace {
+
+constexpr const char* kAlice = "alice.01234567";
+constexpr const char* kUnreadable = "the list of clients cannot be read";
+
+/// Collects what is logged.
+class Lines final : public spdlog::sinks::base_sink<std::mutex> {
+ public:
+  int count(std::string_view text) {
+    const std::lock_guard lock(mutex_);
+    int found = 0;
+    for (std::size_t at = text_.find(text); at != std::string::npos; at = text_.find(text, at + 1)) ++found;
+    return found;
+  }
+
+ private:
+  void sink_it_(const spdlog::details::log_msg& line) override {
+    text_.append(line.payload.data(), line.payload.size()).append("\n");
+  }
+  void flush_() override {}
+  std::string text_;
+};
+
+/// While one exists, this process opens no file.
+class NoDescriptors {
+ public:
+  NoDescriptors() {
+    getrlimit(RLIMIT_NOFILE, &before_);
+    const rlimit none{0, before_.rlim_max};
+    setrlimit(RLIMIT_NOFILE, &none);
+  }
+  ~NoDescriptors() { setrlimit(RLIMIT_NOFILE, &before_); }
+
+ private:
+  rlimit before_{};
+};
+
+class KeyRingTest : public testing::Test {
+ protected:
+  KeyRingTest() {
+    spdlog::set_default_logger(std::make_shared<spdlog::logger>("test", lines_));
+    folder_.write("without.json", tests::KeyFolder::list_of(""));
+    auto opened = KeyRing::open(folder_.path());
+    if (!opened) throw std::runtime_error(opened.error().message);
+    ring_ = std::move(*opened);
+  }
+  ~KeyRingTest() override {
+    ring_.reset();
+    spdlog::set_default_logger(logger_before_);
+  }
+  template <class Condition>
+  static bool eventually(const Condition& condition) {
+    return tests::eventually(condition, std::chrono::seconds(20));
+  }
+  bool knows_alice() const { return ring_->find(kAlice) != nullptr; }
+
+  std::shared_ptr<spdlog::logger> logger_before_ = spdlog::default_logger();
+  std::shared_ptr<Lines> lines_ = std::make_shared<Lines>();
+  tests::KeyFolder folder_{tests::KeyFolder::client(kAlice)};
+  std::unique_ptr<KeyRing> ring_;
+};
+
+TEST_F(KeyRingTest, ARemovalCountsThoughTheListCouldNotBeReadAtFirst) {
+  ring_->follow([] {});
+  {
+    const NoDescriptors none;
+    folder_.rename("without.json", "clients.json");
+    EXPECT_TRUE(eventually([&] { return lines_->count(kUnreadable) > 0; }));
+    EXPECT_TRUE(knows_alice()) << "the list before counts on";
+  }
+  EXPECT_TRUE(eventually([&] { return !knows_alice(); }));
+  EXPECT_EQ(lines_->count(kUnreadable), 1) << "one line for each state of the file";
+}
+
+}  // namespace
+}  // namespace tensormass::access
