@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import ssl
+import sys
 from pathlib import Path
 
 import aiohttp
@@ -15,6 +16,7 @@ from asynchronous import asynchronous
 from gateway_parts import TOKEN, options, origin
 
 from tensormass._src.client_keys import ClientKeys
+from tensormass_gateway.command import tell_next_addresses
 from tensormass_gateway.gateway import Gateway, serve
 from tensormass_gateway.page_tls import is_loopback
 from tensormass_tools.keys.folder import KeyFolder
@@ -94,6 +96,24 @@ async def test_a_code_lets_one_browser_in(viewer: Path) -> None:
                 assert answer.status == 403
             with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
                 await another.ws_connect(f"{page}/stream", origin=page)
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+@asynchronous
+async def test_the_next_code_is_for_a_terminal_alone(
+    viewer: Path, monkeypatch: pytest.MonkeyPatch, terminal: bool
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
+    async with serve(options(viewer)) as gateway:
+        told: list[str] = []
+        tell_next_addresses(gateway, told.append)
+        page = origin(gateway)
+        async with aiohttp.ClientSession(headers={"Origin": page}) as browser:
+            code = gateway.once_url.partition("code=")[2]
+            async with browser.post(f"{page}/enter", json={"code": code}) as answer:
+                assert answer.status == 204
+        assert len(told) == terminal
+        assert all(gateway.once_url in text and gateway.look_once_url in text for text in told)
 
 
 @asynchronous

@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 from tensormass_gateway.gateway import Gateway, serve
@@ -46,9 +47,19 @@ def run(args: argparse.Namespace, recording: Recording | None = None) -> int:
     return 0
 
 
-def next_addresses(gateway: Gateway) -> str:
-    """Returns what to say when an address has been opened, because each opens one browser."""
-    return f"another browser: {gateway.once_url}\nto look only: {gateway.look_once_url}"
+def tell_next_addresses(gateway: Gateway, say: Callable[[str], None]) -> None:
+    """Says the next addresses whenever one was opened, because each opens one browser.
+
+    Only a terminal is told. Elsewhere the output is a log, whose readers would always have a code that counts.
+    """
+    if sys.stdout.isatty():
+        gateway.on_code_used(
+            lambda: say(f"another browser: {gateway.once_url}\nto look only: {gateway.look_once_url}")
+        )
+
+
+def print_line(text: str) -> None:
+    print(text, flush=True)
 
 
 async def _run(args: argparse.Namespace, recording: Recording | None) -> None:
@@ -64,6 +75,6 @@ async def _run(args: argparse.Namespace, recording: Recording | None) -> None:
             print(json.dumps({**addresses, **source}), flush=True)
         else:
             what = f"daemon: {args.server}" if recording is None else f"recording: {recording.name}"
-            print(f"viewer: {gateway.once_url}\nto look only: {gateway.look_once_url}\n{what}", flush=True)
-            gateway.on_code_used(lambda: print(next_addresses(gateway), flush=True))
+            print_line(f"viewer: {gateway.once_url}\nto look only: {gateway.look_once_url}\n{what}")
+            tell_next_addresses(gateway, print_line)
         await stopped.wait()

@@ -41,17 +41,19 @@ class Entry:
     def enter(self, token: str, code: str) -> str | None:
         """Returns a new session for a token or a code; None if neither is right."""
         operator = self.role_of_token(token)
+        by_code = operator is None
         if operator is None:
             used = [role for role, right in self._codes.items() if same(code, right)]
             if not used:
                 return None
             operator = used[0]
             self._codes[operator] = new_secret()
-            self.on_used()
         session = new_secret()
         self._sessions[session] = operator
         while len(self._sessions) > MAX_SESSIONS:
             self._sessions.pop(next(iter(self._sessions)))
+        if by_code:
+            self.on_used()
         return session
 
     def role_of(self, request: web.Request) -> bool | None:

@@ -24,6 +24,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import AsyncIterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -168,7 +169,7 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
 async def _viewer(
     args: argparse.Namespace, server: Server, known: dict[str, scene_pb2.Scene]
 ) -> AsyncIterator[Gateway]:
-    from tensormass_gateway.command import next_addresses, write_ready_file
+    from tensormass_gateway.command import tell_next_addresses, write_ready_file
     from tensormass_gateway.gateway import serve
 
     async with contextlib.AsyncExitStack() as parts:
@@ -186,7 +187,7 @@ async def _viewer(
             write_ready_file(args.gateway_ready_file, running)
         _say(args, f"\n  viewer: {running.once_url}\n  to look only: {running.look_once_url}\n")
         if not args.json:
-            running.on_code_used(lambda: _say(args, next_addresses(running)))
+            tell_next_addresses(running, partial(_say, args))
         yield running
 
 
