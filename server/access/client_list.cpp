@@ -11,7 +11,6 @@
 namespace tensormass::access {
 namespace {
 
-constexpr std::size_t kCurveCharacters = 40;
 constexpr std::size_t kKeyCharacters = 8;
 
 std::optional<Role> role_of(std::string_view name) {
@@ -29,6 +28,12 @@ bool is_id(std::string_view id) {
 }
 
 }  // namespace
+
+bool is_curve_key(std::string_view text) {
+  constexpr std::string_view kDigits =
+      "0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ.-:+=^!/*?&<>()[]{}@%$#";
+  return text.size() == kCurveCharacters && text.find_first_not_of(kDigits) == std::string_view::npos;
+}
 
 Result<ClientList> read_client_list(std::string_view text, const std::string& path) {
   const auto wrong = [&](std::string_view what) {
@@ -54,8 +59,8 @@ Result<ClientList> read_client_list(std::string_view text, const std::string& pa
         return wrong(fmt::format("client {}: a hand needs a scene and a tool", client.id));
       }
       client.curve_public = entry.at("curve_public").get<std::string>();
-      if (client.curve_public.size() != kCurveCharacters) {
-        return wrong(fmt::format("client {}: curve_public is not {} characters", client.id, kCurveCharacters));
+      if (!is_curve_key(client.curve_public)) {
+        return wrong(fmt::format("client {}: curve_public is not {} characters of Z85", client.id, kCurveCharacters));
       }
       client.expires_s = entry.at("expires_s").get<std::int64_t>();
       const std::string id = client.id;

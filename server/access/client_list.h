@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -28,6 +29,10 @@ using ClientPtr = std::shared_ptr<const Client>;
 
 /// The clients that a daemon knows, by id.
 using ClientList = std::map<std::string, ClientPtr, std::less<>>;
+
+/// Characters of a key of ZeroMQ, in Z85 (rfc.zeromq.org/spec/32).
+inline constexpr std::size_t kCurveCharacters = 40;
+bool is_curve_key(std::string_view text);
 
 /// Reads the text of clients.json. `path` is for messages. Fails with kInvalidArgument, and names file, client and
 /// remedy.

@@ -2,12 +2,14 @@
 
 #include <sys/stat.h>
 
+#include <algorithm>
+#include <array>
 #include <cerrno>
 #include <chrono>
+#include <cstdio>
 #include <cstring>
 #include <ctime>
-#include <fstream>
-#include <iterator>
+#include <exception>
 #include <utility>
 
 #include <fmt/format.h>
@@ -40,28 +42,39 @@ std::uint64_t signature_of(const std::string& path) {
   return hash | 1;
 }
 
+struct Free {
+  void operator()(std::FILE* file) const { std::fclose(file); }
+  void operator()(BIO* bio) const { BIO_free(bio); }
+  void operator()(X509* certificate) const { X509_free(certificate); }
+};
+
 /// forbidden: bits of the mode that the file must not have, for users other than owner and group.
 Result<std::string> read_file(const std::string& path, mode_t forbidden, std::string_view remedy) {
   struct stat found {};
   if (stat(path.c_str(), &found) != 0) {
     return invalid(fmt::format("--keys: cannot read {}: {}; {}", path, std::strerror(errno), remedy));
   }
+  if (!S_ISREG(found.st_mode)) return invalid(fmt::format("--keys: {} is not a file; {}", path, remedy));
   if ((found.st_mode & forbidden) != 0) {
     return invalid(
         fmt::format("--keys: {} is open to every user of this machine; make new keys if a stranger may have "
                     "read it, else: chmod o-rwx {}",
                     path, path));
   }
-  std::ifstream file(path, std::ios::binary);
-  std::string text{std::istreambuf_iterator<char>(file), {}};
-  if (!file) return invalid(fmt::format("--keys: cannot read {}: {}; {}", path, std::strerror(errno), remedy));
+  // Not a stream of the standard library: its buffer throws when a read fails.
+  const std::unique_ptr<std::FILE, Free> file(std::fopen(path.c_str(), "rbe"));
+  std::string text;
+  std::array<char, 4096> part;
+  while (file != nullptr) {
+    const std::size_t size = std::fread(part.data(), 1, part.size(), file.get());
+    if (size == 0) break;
+    text.append(part.data(), size);
+  }
+  if (file == nullptr || std::ferror(file.get()) != 0) {
+    return invalid(fmt::format("--keys: cannot read {}: {}; {}", path, std::strerror(errno), remedy));
+  }
   return text;
 }
-
-struct Free {
-  void operator()(BIO* bio) const { BIO_free(bio); }
-  void operator()(X509* certificate) const { X509_free(certificate); }
-};
 
 /// Refuses a certificate that cannot be read or does not hold now.
 Result<void> check_certificate(const std::string& pem, const std::string& path, std::string_view renew) {
@@ -100,6 +113,12 @@ Result<std::unique_ptr<KeyRing>> KeyRing::open(const std::string& folder) {
       return invalid(fmt::format("--keys: {} lacks {}; {}", own, field, init));
     }
     *value = file[field].get<std::string>();
+  }
+  for (const char* field : {"curve_public", "curve_secret"}) {
+    if (!is_curve_key(file[field].get<std::string>())) {
+      return invalid(fmt::format("--keys: {}: {} is not a key of ZeroMQ, {} characters of Z85; {}", own, field,
+                                 kCurveCharacters, init));
+    }
   }
   TM_RETURN_IF_ERROR(check_certificate(daemon.certificate_pem, own, renew));
   TM_RETURN_IF_ERROR(check_certificate(daemon.authority_pem, own, init));
@@ -162,12 +181,16 @@ void KeyRing::run(const std::function<void()>& on_change) {
       std::unique_lock lock(mutex_);
       if (wake_.wait_for(lock, kPeriod, [this] { return stopping_; })) return;
     }
-    read_again();
-    std::vector<ClientPtr> now = list();
-    if (same(before, now)) continue;
-    log::info("other keys count", {{"before", before.size()}, {"now", now.size()}});
-    before = std::move(now);
-    on_change();
+    try {
+      read_again();
+      std::vector<ClientPtr> now = list();
+      if (same(before, now)) continue;
+      log::info("other keys count", {{"before", before.size()}, {"now", now.size()}});
+      on_change();
+      before = std::move(now);
+    } catch (const std::exception& error) {
+      log::error("the change of keys is tried again", {{"reason", error.what()}});
+    }
   }
 }
 

@@ -4,8 +4,10 @@
 
 #include <atomic>
 #include <chrono>
+#include <filesystem>
 #include <memory>
 #include <mutex>
+#include <stdexcept>
 #include <string>
 #include <string_view>
 
@@ -15,6 +17,7 @@
 
 #include "support/eventually.h"
 #include "support/key_folder.h"
+#include "support/refused.h"
 
 namespace tensormass::access {
 namespace {
@@ -89,6 +92,41 @@ TEST_F(KeyRingTest, ARemovalCountsThoughTheListCouldNotBeReadAtFirst) {
   }
   EXPECT_TRUE(eventually([&] { return !knows_alice(); }));
   EXPECT_EQ(lines_->count(kUnreadable), 1) << "one line for each state of the file";
+}
+
+TEST_F(KeyRingTest, AFolderInPlaceOfTheListIsTold) {
+  ring_->follow([] {});
+  folder_.rename("clients.json", "before.json");
+  std::filesystem::create_directory(folder_.path() / "clients.json");
+  EXPECT_TRUE(eventually([&] { return lines_->count("clients.json is not a file") > 0; }));
+  EXPECT_TRUE(knows_alice()) << "the list before counts on";
+  std::filesystem::remove(folder_.path() / "clients.json");
+  folder_.rename("without.json", "clients.json");
+  EXPECT_TRUE(eventually([&] { return !knows_alice(); }));
+}
+
+TEST_F(KeyRingTest, AChangeThatFailsIsTriedAgain) {
+  std::atomic<int> calls = 0;
+  ring_->follow([&] {
+    if (++calls == 1) throw std::runtime_error("no memory");
+  });
+  folder_.rename("without.json", "clients.json");
+  EXPECT_TRUE(eventually([&] { return calls == 2; }));
+  EXPECT_EQ(lines_->count("the change of keys is tried again reason=\"no memory\""), 1);
+}
+
+TEST_F(KeyRingTest, RefusesADaemonFileThatItCannotUse) {
+  const auto refuse = [&](const std::string& what) {
+    EXPECT_REFUSED(KeyRing::open(folder_.path()), ErrorCode::kInvalidArgument, what);
+    EXPECT_REFUSED(KeyRing::open(folder_.path()), ErrorCode::kInvalidArgument, "tensormass keys init");
+  };
+  folder_.write_daemon(tests::KeyFolder::kCurve, "short");
+  refuse("curve_secret is not a key of ZeroMQ");
+  folder_.write_daemon(std::string(40, ' '), tests::KeyFolder::kCurve);
+  refuse("curve_public is not a key of ZeroMQ");
+  std::filesystem::remove(folder_.path() / "daemon.json");
+  std::filesystem::create_directory(folder_.path() / "daemon.json");
+  refuse("daemon.json is not a file");
 }
 
 }  // namespace

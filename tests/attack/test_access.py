@@ -426,10 +426,16 @@ def expire(path: Path) -> None:
     time.sleep(1)
 
 
+def replace_by_folder(path: Path) -> None:
+    (path / "daemon.json").unlink()
+    (path / "daemon.json").mkdir(0o700)
+
+
 @pytest.mark.parametrize(
     ("damage", "refusal"),
     [
         (lambda path: (path / "daemon.json").unlink(), "make keys with: tensormass keys init"),
+        (replace_by_folder, "daemon.json is not a file"),
         (lambda path: (path / "daemon.json").chmod(0o644), "is open to every user of this machine"),
         (lambda path: (path / "daemon.json").write_text("{}"), "does not hold a daemon's keys"),
         (lambda path: (path / "clients.json").write_text("[]"), "not a list of clients"),
