@@ -7,8 +7,10 @@ import asyncio
 import contextlib
 import json
 import resource
+import ssl
 import subprocess
 import sys
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -81,6 +83,46 @@ async def hold_and_open(port: int) -> None:
         # The viewer that came first is still there: its protocol error is answered.
         before.writer.write(b"\x81\x00")
         assert (await before.closed())[0] == 1008
+
+
+@contextlib.asynccontextmanager
+async def over_https(folder: Path) -> AsyncIterator[tuple[Gateway, ssl.SSLContext]]:
+    """A gateway with a page over HTTPS, and what a browser trusts."""
+    keys = pytest.importorskip("tensormass_tools.keys.folder", reason="needs the extra `keys`").KeyFolder(folder / "k")
+    keys.init([], 30)
+    page = keys.add("gateway", "operator", pages=["viewer.example"])
+    trust = ssl.create_default_context(cafile=str(keys.path / "page-authority.pem"))
+    async with serve(options(make_viewer(folder / "dist"), page=page)) as gateway:
+        yield gateway, trust
+
+
+@asynchronous
+async def test_page_over_https_opens_while_strangers_shake_no_hands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connections, "MAX_SHAKING", 4)
+    monkeypatch.setattr(connections, "HANDSHAKE_S", 3600.0)
+    async with over_https(tmp_path) as (gateway, trust), contextlib.AsyncExitStack() as stack:
+        silent = [await asyncio.open_connection("127.0.0.1", gateway.port) for _ in range(20)]
+        for _, writer in silent:
+            stack.callback(writer.close)
+        reader, writer = await asyncio.open_connection("127.0.0.1", gateway.port, ssl=trust)
+        stack.callback(writer.close)
+        writer.write(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 200 ")
+        for reader, _ in silent[:-4]:
+            with contextlib.suppress(ConnectionError):
+                assert await reader.read() == b""  # ends only when the gateway ends the connection
+
+
+@asynchronous
+async def test_a_handshake_of_tls_must_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "HANDSHAKE_S", 0.1)
+    async with over_https(tmp_path) as (gateway, _):
+        reader, writer = await asyncio.open_connection("127.0.0.1", gateway.port)
+        with contextlib.suppress(ConnectionError):
+            assert await reader.read() == b""
+        writer.close()
 
 
 @pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: x\r\n", b"GET / HTTP/1.1\r\nHost: x\r\n\r\n"])
@@ -207,3 +249,4 @@ def test_more_browsers_than_there_are_descriptors_are_refused_at_the_start(viewe
     for browsers in (1, 16, 80):
         assert browsers + SPARE_CONNECTIONS <= connection_limit(browsers, 1024) < 1024 / 2
     assert connection_limit(16, resource.RLIM_INFINITY) == connections.MAX_CONNECTIONS
+    assert connection_limit(16, 1024, tls=True) < connection_limit(16, 1024)

@@ -6,7 +6,7 @@
 
 A stranger without a token can open connections, so their number stays below the limit of descriptors of this process.
 When all are taken, the oldest that is not a viewer makes room. An honest page therefore loads while a stranger holds
-hundreds of connections: it needs its own for milliseconds.
+hundreds of connections: it needs its own for milliseconds. Connections that shake hands of TLS are bounded alike.
 """
 
 from __future__ import annotations
@@ -26,6 +26,15 @@ MAX_CONNECTIONS = 512
 
 SPARE_CONNECTIONS = 16
 """Connections beyond the viewers that there must be, to load pages."""
+
+MAX_SHAKING = 64
+"""Connections that shake hands of TLS at once. When one more comes, the oldest makes room."""
+
+HANDSHAKE_S = 5.0
+"""Time for TLS's handshake."""
+
+TLS_END_S = 2.0
+"""Time in which a browser answers that TLS ends."""
 
 IDLE_S = 15.0
 """A connection without a whole request for this long is closed."""
@@ -52,19 +61,20 @@ UNMASKED = "frames of a browser are masked (RFC 6455, section 5.1)"
 TOO_MANY_FRAMES = f"more than {FRAMES_PER_S:g} messages a second"
 
 
-def connection_limit(max_browsers: int, descriptors: int | None = None) -> int:
+def connection_limit(max_browsers: int, descriptors: int | None = None, *, tls: bool = False) -> int:
     """Returns how many connections may be open at once.
 
     Args:
         max_browsers: viewers at once.
         descriptors: that this process may have; None: asks the system.
+        tls: further connections shake hands.
 
     Raises ValueError if so many viewers need more descriptors.
     """
     soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0] if descriptors is None else descriptors
     if soft == resource.RLIM_INFINITY:
         soft = 1 << 20
-    held = _DESCRIPTORS_OF_PROGRAM + _DESCRIPTORS_A_VIEWER * max_browsers
+    held = _DESCRIPTORS_OF_PROGRAM + _DESCRIPTORS_A_VIEWER * max_browsers + (MAX_SHAKING if tls else 0)
     limit = (soft - held) // _DESCRIPTORS_A_CONNECTION
     least = max_browsers + SPARE_CONNECTIONS
     if limit < least:
@@ -78,15 +88,20 @@ def connection_limit(max_browsers: int, descriptors: int | None = None) -> int:
 class Connections:
     """The open connections of one gateway. Called, it makes one: the factory that asyncio's server needs."""
 
-    def __init__(self, server: web.Server, limit: int, journal: Journal) -> None:
+    def __init__(self, server: web.Server, limit: int, journal: Journal, *, tls: bool) -> None:
+        self._tls = tls
         self.limit = limit
         self.journal = journal
         self._server = server
         self._strangers: dict[Connection, None] = {}
         """Connections that are not viewers, oldest first."""
         self._viewers: set[Connection] = set()
+        self._shaking: dict[asyncio.Task[Any], None] = {}
+        """Tasks of asyncio that wait for TLS's handshake, oldest first."""
 
     def __call__(self) -> Connection:
+        if self._tls:
+            self._bound_handshakes()
         return Connection(self, self._server)
 
     def __len__(self) -> int:
@@ -104,6 +119,20 @@ class Connections:
         """Takes note that a connection is a viewer's. It is not ended to make room."""
         self._strangers.pop(connection, None)
         self._viewers.add(connection)
+
+    def _bound_handshakes(self) -> None:
+        # asyncio tells of a connection after its handshake. Until then there is only the task that called us, and
+        # ends the connection when it is cancelled.
+        task = asyncio.current_task()
+        assert task is not None
+        self._shaking[task] = None
+        task.add_done_callback(lambda done: self._shaking.pop(done, None))
+        if len(self._shaking) > MAX_SHAKING:
+            oldest = next(iter(self._shaking))
+            del self._shaking[oldest]
+            asyncio.get_running_loop().call_soon(oldest.cancel)  # not before its handshake has begun
+            reason = f"{MAX_SHAKING} connections shake hands; the oldest made room"
+            self.journal.note("evicted", who="nobody yet", what="connection", reason=reason)
 
     def remove(self, connection: Connection) -> None:
         self._strangers.pop(connection, None)

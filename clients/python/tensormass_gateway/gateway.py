@@ -59,6 +59,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from tensormass._src import demo
 from tensormass.v1 import scene_pb2
+from tensormass_gateway import connections
 from tensormass_gateway.admission import Admission, check_tokens, checked
 from tensormass_gateway.budget import Turns
 from tensormass_gateway.choice import Choice, ChoiceError, choice_of
@@ -169,7 +170,7 @@ class Gateway:
         self.options = options
         self._journal = Journal()
         self._admission = Admission(options, self._journal)
-        self._connection_limit = connection_limit(options.max_browsers)
+        self._connection_limit = connection_limit(options.max_browsers, tls=options.page is not None)
         self._turns = Turns(TURNS_PER_S, MOST_TURNS)
         self.port = options.port
         self.closed_for_errors = 0
@@ -253,12 +254,15 @@ class Gateway:
         self._runner = web.AppRunner(app, shutdown_timeout=1.0)
         await self._runner.setup()
         assert self._runner.server is not None
-        connections = Connections(self._runner.server, self._connection_limit, self._journal)
+        page = self.options.page
+        factory = Connections(self._runner.server, self._connection_limit, self._journal, tls=page is not None)
         self._listener = await asyncio.get_running_loop().create_server(
-            connections,
+            factory,
             self.options.host,
             self.options.port,
-            ssl=page_context(self.options.page) if self.options.page is not None else None,
+            ssl=page_context(page) if page is not None else None,
+            ssl_handshake_timeout=connections.HANDSHAKE_S if page is not None else None,
+            ssl_shutdown_timeout=connections.TLS_END_S if page is not None else None,
         )
         self.port = self._listener.sockets[0].getsockname()[1]
         self._follower = background(self._daemon.follow())
