@@ -54,17 +54,21 @@ class RawBrowser:
         return None, ""
 
 
-async def ask(port: int, target: str, *headers: bytes, method: str = "GET") -> tuple[int, bytes]:
+async def ask(port: int, target: str, *headers: bytes, method: str = "GET", body: bytes = b"") -> tuple[int, bytes]:
     """Sends a request as it is; status and body, or (0, b"") if the gateway ends the connection."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    lines = [f"{method} {target} HTTP/1.1".encode(), b"Host: 127.0.0.1:%d" % port, *headers]
+    lines = [f"{method} {target} HTTP/1.1".encode(), *headers]
+    if not any(header.startswith(b"Host:") for header in headers):
+        lines.append(b"Host: 127.0.0.1:%d" % port)
+    if body:
+        lines.append(b"Content-Length: %d" % len(body))
     try:
-        writer.write(b"\r\n".join([*lines, b"", b""]))
+        writer.write(b"\r\n".join([*lines, b"", body]))
         head = await reader.readuntil(b"\r\n\r\n")
         lengths = [
             line.partition(b":")[2] for line in head.split(b"\r\n") if line.lower().startswith(b"content-length:")
         ]
-        return int(head.split()[1]), await reader.readexactly(int(lengths[0]))
+        return int(head.split()[1]), await reader.readexactly(int(lengths[0]) if lengths else 0)
     except (ConnectionError, asyncio.IncompleteReadError):
         return 0, b""
     finally:

@@ -186,8 +186,10 @@ async def test_many_requests_on_one_connection_are_answered(viewer: Path) -> Non
             ],
             400,
         ),
+        ("/status", [b"Host: a:b"], 403),
+        ("/status", [b"Host: a:99999"], 403),
     ],
-    ids=["long-name", "long-path", "zero-byte", "origin", "codec", "key"],
+    ids=["long-name", "long-path", "zero-byte", "origin", "codec", "key", "port", "large-port"],
 )
 @asynchronous
 async def test_nonsense_is_refused_clearly(viewer: Path, target: str, headers: list[bytes], status: int) -> None:
@@ -196,6 +198,28 @@ async def test_nonsense_is_refused_clearly(viewer: Path, target: str, headers: l
         answered, body = await ask(gateway.port, target, *sent)
         assert answered == status
         assert body
+
+
+@pytest.mark.parametrize(
+    ("headers", "body", "status"),
+    [
+        ([b"Content-Type: text/plain; charset=x"], json.dumps({"token": TOKEN}).encode(), 204),
+        ([], b"[" * (MAX_REQUEST_BYTES // 2), 400),
+        ([], b'{"token": ' + b"[" * (MAX_REQUEST_BYTES // 2), 400),
+        ([], b'{"token": "\\ud800"}', 403),
+        ([], b'{"code": "\\ud800"}', 403),
+        ([b"Host: a:b"], json.dumps({"token": TOKEN}).encode(), 403),
+    ],
+    ids=["charset", "deep", "deep-token", "token", "code", "port"],
+)
+@asynchronous
+async def test_nonsense_in_place_of_a_token_is_refused_clearly(
+    viewer: Path, caplog: pytest.LogCaptureFixture, headers: list[bytes], body: bytes, status: int
+) -> None:
+    async with serve(options(viewer)) as gateway:
+        own = b"Origin: http://127.0.0.1:%d" % gateway.port
+        assert (await ask(gateway.port, "/enter", own, *headers, method="POST", body=body))[0] == status
+    assert "Traceback" not in caplog.text
 
 
 @asynchronous

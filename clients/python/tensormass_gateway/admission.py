@@ -81,7 +81,7 @@ class Admission:
             self._refuse(request, web.HTTPForbidden(text=_NOT_LET_IN))
         response = web.Response(status=204)
         response.set_cookie(
-            self.entry.cookie(request), session, httponly=True, samesite="Strict", secure=request.secure, path="/"
+            self.entry.cookie, session, httponly=True, samesite="Strict", secure=request.secure, path="/"
         )
         return response
 

@@ -31,6 +31,8 @@ class Entry:
         self._codes = {_LOOK: new_secret(), _OPERATE: new_secret()}
         self._sessions: dict[str, bool] = {}
         """Whether each is an operator's; oldest first."""
+        self.port = options.port
+        """The port on which the gateway listens."""
         self.on_used: Callable[[], None] = lambda: None
         """Called when a code was used up, and another one counts."""
 
@@ -58,7 +60,7 @@ class Entry:
 
     def role_of(self, request: web.Request) -> bool | None:
         """Returns whether a request is an operator's; None if it is nobody's."""
-        session = self._sessions.get(request.cookies.get(self.cookie(request), ""))
+        session = self._sessions.get(request.cookies.get(self.cookie, ""))
         return session if session is not None else self.role_of_token(request.query.get("token", ""))
 
     def role_of_token(self, token: str) -> bool | None:
@@ -66,10 +68,10 @@ class Entry:
             return _OPERATE
         return _LOOK if same(token, self._options.token) else None
 
-    @staticmethod
-    def cookie(request: web.Request) -> str:
+    @property
+    def cookie(self) -> str:
         """Returns the cookie's name. Browsers share cookies among the ports of a host."""
-        return f"tensormass-{request.url.port}"
+        return f"tensormass-{self.port}"
 
 
 def new_secret() -> str:
@@ -78,4 +80,4 @@ def new_secret() -> str:
 
 def same(given: str, right: str) -> bool:
     """Compares in a time that does not depend on the given text."""
-    return hmac.compare_digest(given.encode(), right.encode())
+    return hmac.compare_digest(given.encode(errors="surrogatepass"), right.encode())

@@ -264,7 +264,7 @@ class Gateway:
             ssl_handshake_timeout=connections.HANDSHAKE_S if page is not None else None,
             ssl_shutdown_timeout=connections.TLS_END_S if page is not None else None,
         )
-        self.port = self._listener.sockets[0].getsockname()[1]
+        self.port = self._admission.entry.port = self._listener.sockets[0].getsockname()[1]
         self._follower = background(self._daemon.follow())
 
     async def stop(self) -> None:
@@ -287,9 +287,9 @@ class Gateway:
     async def _enter(self, request: web.Request) -> web.Response:
         """Changes a token or a code into a cookie (entry.py)."""
         try:
-            given = json.loads(await request.text())
+            given = json.loads(await request.read())
             token, code = str(given.get("token", "")), str(given.get("code", ""))
-        except (ValueError, AttributeError):
+        except (ValueError, AttributeError, RecursionError):
             raise web.HTTPBadRequest(text='send {"code": ...} or {"token": ...}\n') from None
         return self._admission.enter(request, token, code)
 
