@@ -91,9 +91,7 @@ Relay::~Relay() {
 }
 
 void Relay::add(int descriptor) {
-  Descriptor client(descriptor);
-  if (count_.load() >= limits::kMaxControlConnections) return refuse_("more than kMaxControlConnections connections");
-  auto connection = std::make_unique<Connection>(std::move(client), Descriptor(), half_sent_);
+  auto connection = std::make_unique<Connection>(Descriptor(descriptor), Descriptor(), half_sent_);
   if (guard_.tls != nullptr) {
     connection->tls = std::make_unique<TlsStream>(*guard_.tls, connection->client.get());
     connection->shakes_hands_until = Clock::now() + kHandshakeTimeout;
@@ -104,17 +102,22 @@ void Relay::add(int descriptor) {
     const std::lock_guard lock(mutex_);
     new_.push_back(std::move(connection));
   }
-  count_.fetch_add(1);
   eventfd_write(wake_.get(), 1);
 }
 
 bool Relay::connect_inner(Connection& connection) {
+  if (count_.load() >= limits::kMaxControlConnections) {
+    refuse_("more than kMaxControlConnections connections");
+    return false;
+  }
   int ends[2] = {-1, -1};
   // Without descriptors the client is closed, as it is when accept fails.
   if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, ends) != 0) return false;
   connection.inner = Descriptor(ends[0]);
   Descriptor theirs(ends[1]);
   if (connection.tls && !name_socket(ends[0], connection.id)) return false;
+  connection.counted = true;
+  count_.fetch_add(1);
   admit_(theirs.release());
   return true;
 }
@@ -145,8 +148,7 @@ void Relay::run() {
         if (carry(*found->second) == Outcome::kGoesOn) {
           wait_for(found->first, *found->second);
         } else {
-          connections_.erase(found);
-          count_.fetch_sub(1);
+          close(found);
         }
       }
       if (Clock::now() >= next_check_) check_time();
@@ -165,10 +167,24 @@ void Relay::take_new() {
     taken.swap(new_);
   }
   for (std::unique_ptr<Connection>& connection : taken) {
+    if (connection->tls) make_room_to_shake_hands();
     const std::uint64_t id = next_id_++;
     const auto added = connections_.emplace(id, std::move(connection)).first;
     wait_for(id, *added->second);
   }
+}
+
+void Relay::make_room_to_shake_hands() {
+  const auto shakes_hands = [](const auto& entry) { return !entry.second->counted; };
+  const auto count = std::count_if(connections_.begin(), connections_.end(), shakes_hands);
+  if (static_cast<std::size_t>(count) < limits::kMaxShaking) return;
+  refuse_("more than kMaxShaking peers that shake hands; the oldest made room");
+  close(std::find_if(connections_.begin(), connections_.end(), shakes_hands));
+}
+
+Relay::Connections::iterator Relay::close(Connections::iterator connection) {
+  if (connection->second->counted) count_.fetch_sub(1);
+  return connections_.erase(connection);
 }
 
 Relay::Outcome Relay::carry(Connection& connection) {
@@ -275,8 +291,7 @@ void Relay::check_time() {
       continue;
     }
     refuse_(why);
-    connection = connections_.erase(connection);
-    count_.fetch_sub(1);
+    connection = close(connection);
   }
 }
 

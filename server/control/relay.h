@@ -33,6 +33,7 @@ struct RelayGuard {
 ///
 /// With keys, the client's side speaks TLS, and gRPC gets a connection when the handshake is done. gRPC then calls its
 /// peer by the name of the client's certificate (id_of_peer), because the socket pair's other end has that address.
+/// Connections that shake hands have limits of their own, so that peers without a key use up none of those with one.
 ///
 /// A buffer is read into only when it is empty, so a side that does not read makes the other wait, as without a relay.
 /// One thread does all of this. It sleeps in epoll, calls `refuse`, and is joined by the destructor.
@@ -70,16 +71,24 @@ class Relay {
     std::chrono::steady_clock::time_point shakes_hands_until = std::chrono::steady_clock::time_point::max();
     Http2Meter meter;
     Buffer in, out;
+    bool counted = false;                               // in count_
     std::uint32_t client_events = 0, inner_events = 0;  // that epoll waits for
   };
   enum class Outcome : std::uint8_t { kGoesOn, kEnded };
 
+  using Connections = std::map<std::uint64_t, std::unique_ptr<Connection>>;
+
   void run();
   void take_new();
+  /// Closes the oldest connection that shakes hands, if there are kMaxShaking of them.
+  void make_room_to_shake_hands();
   Outcome carry(Connection& connection);
   Outcome shake_hands(Connection& connection);
-  /// Makes the socket pair and hands gRPC its end. Returns false without descriptors.
+  /// Counts the connection, makes the socket pair and hands gRPC its end. Returns false beyond kMaxControlConnections
+  /// and without descriptors.
   bool connect_inner(Connection& connection);
+  /// Returns the connection after the one that it closes.
+  Connections::iterator close(Connections::iterator connection);
   /// Moves what it can; taken: std::string_view(std::string_view), gets the bytes that were read and returns why the
   /// connection must be closed, or "".
   template <class From, class To, class Taken>
@@ -97,7 +106,7 @@ class Relay {
   std::atomic<bool> stopping_{false};
   std::mutex mutex_;
   std::vector<std::unique_ptr<Connection>> new_;  // guarded by mutex_
-  std::map<std::uint64_t, std::unique_ptr<Connection>> connections_;
+  Connections connections_;
   std::uint64_t next_id_ = 1;
   std::chrono::steady_clock::time_point next_check_{};
   std::thread thread_;

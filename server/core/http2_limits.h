@@ -8,8 +8,10 @@
 /// passes one is closed.
 namespace tensormass::limits {
 
-/// Connections at once; a further one is closed.
+/// Connections at once; a further one is closed. With keys, a connection counts when its handshake is done.
 inline constexpr std::size_t kMaxControlConnections = 512;
+/// Connections that shake hands of TLS at once. When one more comes, the oldest is closed.
+inline constexpr std::size_t kMaxShaking = 64;
 /// Calls that a connection may have open at once.
 inline constexpr std::size_t kMaxStreamsPerConnection = 256;
 /// Bytes of the headers of a call, in all frames. gRPC itself takes 8 KiB after it has put them together.

@@ -1,16 +1,22 @@
 #include "control/relay.h"
 
+#include <fcntl.h>
 #include <poll.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
 
 #include <algorithm>
+#include <atomic>
 #include <future>
+#include <memory>
 #include <string>
+#include <vector>
 
 #include <gtest/gtest.h>
+#include <openssl/ssl.h>
 
 #include "support/eventually.h"
+#include "support/key_folder.h"
 
 namespace tensormass::control {
 namespace {
@@ -89,14 +95,19 @@ TEST_F(RelayTest, ClosesAConnectionThatPassesALimit) {
   EXPECT_LT(read(inner, 1 << 20).size(), pings.size()) << "and gRPC's end is closed, too";
 }
 
-TEST(Relay, RefusesMoreConnectionsThanItsLimit) {
-  // Both ends of each connection are here, and those of gRPC.
-  constexpr rlim_t kFiles = 4 * limits::kMaxControlConnections + 64;
+// Both ends of each connection are here, and those of gRPC.
+constexpr rlim_t kFiles = 4 * (limits::kMaxControlConnections + limits::kMaxShaking) + 64;
+
+/// Returns whether this process may open kFiles files now.
+bool allow_files() {
   rlimit files{};
-  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &files), 0);
-  if (files.rlim_max < kFiles) GTEST_SKIP() << "a process may not open " << kFiles << " files here";
+  if (getrlimit(RLIMIT_NOFILE, &files) != 0 || files.rlim_max < kFiles) return false;
   files.rlim_cur = std::max(files.rlim_cur, kFiles);
-  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &files), 0);
+  return setrlimit(RLIMIT_NOFILE, &files) == 0;
+}
+
+TEST(Relay, RefusesMoreConnectionsThanItsLimit) {
+  if (!allow_files()) GTEST_SKIP() << "a process may not open " << kFiles << " files here";
   std::vector<Descriptor> clients, inner;
   int refused = 0;
   Relay relay([&](int descriptor) { inner.emplace_back(descriptor); }, [&](std::string_view) { ++refused; });
@@ -108,6 +119,43 @@ TEST(Relay, RefusesMoreConnectionsThanItsLimit) {
   }
   EXPECT_EQ(refused, 1);
   EXPECT_EQ(inner.size(), limits::kMaxControlConnections);
+}
+
+/// Shakes hands as a client with the keys of a folder; socket: blocking. Returns whether the relay let it in.
+bool shake_hands(const tests::KeyFolder& keys, int socket) {
+  const std::unique_ptr<SSL_CTX, decltype(&SSL_CTX_free)> context(SSL_CTX_new(TLS_client_method()), &SSL_CTX_free);
+  keys.use_in(context.get());
+  const std::unique_ptr<SSL, decltype(&SSL_free)> stream(SSL_new(context.get()), &SSL_free);
+  SSL_set_fd(stream.get(), socket);
+  return SSL_connect(stream.get()) == 1;
+}
+
+TEST(Relay, PeersThatShakeHandsTakeNoPlaceOfAClient) {
+  if (!allow_files()) GTEST_SKIP() << "a process may not open " << kFiles << " files here";
+  const tests::KeyFolder keys("");
+  auto tls = TlsContext::make(keys.certificate(), keys.private_key(), keys.certificate());
+  ASSERT_TRUE(tls) << tls.error().message;
+  std::atomic<std::size_t> let_in = 0, refused = 0;
+  Relay relay(
+      [&](int descriptor) {
+        const Descriptor inner(descriptor);
+        ++let_in;
+      },
+      [&](std::string_view) { ++refused; },
+      {.tls = tls->get(), .knows = [](std::string_view name) { return name == tests::KeyFolder::kName; }});
+  std::vector<Descriptor> clients;
+  const auto connect = [&] {
+    int ends[2];
+    ASSERT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends), 0);
+    ASSERT_EQ(fcntl(ends[1], F_SETFL, O_NONBLOCK), 0);
+    clients.emplace_back(ends[0]);
+    relay.add(ends[1]);
+  };
+  for (std::size_t i = 0; i < limits::kMaxControlConnections + limits::kMaxShaking; ++i) connect();
+  connect();
+  EXPECT_TRUE(shake_hands(keys, clients.back().get()));
+  EXPECT_TRUE(tests::eventually([&] { return let_in == 1; }, std::chrono::seconds(20)));
+  EXPECT_TRUE(tests::eventually([&] { return refused >= limits::kMaxControlConnections; }, std::chrono::seconds(20)));
 }
 
 }  // namespace
