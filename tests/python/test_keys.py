@@ -89,6 +89,16 @@ def test_keys_end_and_come_anew(folder: KeyFolder) -> None:
     assert new["curve_public"] == old["curve_public"], "clients know it"
 
 
+def test_new_keys_of_a_gateway_are_for_its_page_too(folder: KeyFolder) -> None:
+    first = folder.add("gateway", "operator", pages=["viewer.example"])
+    folder.renew("gateway", 30)
+    second = ClientKeys.read(folder.client_file("gateway"))
+    assert second.page_certificate != first.page_certificate
+    page = x509.load_pem_x509_certificate(second.page_certificate.encode())
+    names = page.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert "viewer.example" in names.get_values_for_type(x509.DNSName)
+
+
 def test_two_commands_at_once_lose_nothing(folder: KeyFolder) -> None:
     names = [f"client-{i}" for i in range(12)]
     add = "from tensormass_tools.cli import main; import sys; sys.exit(main(sys.argv[1:]))"

@@ -20,7 +20,7 @@ import secrets
 import socket
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,8 @@ class Entry:
     made_s: int
     scene: str = ""
     tool: str = ""
+    pages: list[str] = field(default_factory=list)
+    """Names and addresses of a gateway that uses the keys."""
 
     @property
     def name(self) -> str:
@@ -136,10 +138,7 @@ class KeyFolder:
             if old is None:
                 raise _no_client(name, entries)
             left = [entry for entry in entries if entry is not old]
-            pages: list[str] = []
-            with contextlib.suppress(InvalidArgumentError, OSError, ValueError):
-                pages = json.loads(self.client_file(name).read_text()).get("pages", [])
-            return self._make(left, name, old.role, old.scene, old.tool, days, output, pages).path
+            return self._make(left, name, old.role, old.scene, old.tool, days, output, old.pages).path
 
     def entries(self) -> list[Entry]:
         """Returns all clients."""
@@ -169,7 +168,7 @@ class KeyFolder:
                 _check_host(host)
             of_page = make_server(page_authority, "tensormass page", [*pages, "localhost", "127.0.0.1"], now, days)
             page = {"page_certificate": of_page.certificate, "page_private_key": of_page.private_key}
-        entry = Entry(id_, role, public, now + int(days * 86_400), now, scene, tool)
+        entry = Entry(id_, role, public, now + int(days * 86_400), now, scene, tool, list(pages))
         keys = ClientKeys(
             path=output or self.client_file(name),
             id=id_,
