@@ -99,6 +99,15 @@ def test_new_keys_of_a_gateway_are_for_its_page_too(folder: KeyFolder) -> None:
     assert "viewer.example" in names.get_values_for_type(x509.DNSName)
 
 
+def test_keys_are_not_written_where_another_user_wants_them(folder: KeyFolder, tmp_path: Path) -> None:
+    """Whoever may write in a folder can lay a link under a name that is known before."""
+    victim = tmp_path / "victim"
+    (tmp_path / f".alice.json.{os.getpid()}").symlink_to(victim)
+    folder.add("alice", "viewer", output=tmp_path / "alice.json")
+    assert not victim.exists()
+    assert (tmp_path / "alice.json").stat().st_mode & 0o777 == 0o600
+
+
 def test_two_commands_at_once_lose_nothing(folder: KeyFolder) -> None:
     names = [f"client-{i}" for i in range(12)]
     add = "from tensormass_tools.cli import main; import sys; sys.exit(main(sys.argv[1:]))"
