@@ -129,7 +129,8 @@ def test_two_commands_at_once_lose_nothing(folder: KeyFolder) -> None:
         (("alice", "hand", None), "--of : a hand needs its scene and tool, as --of demo/probe"),
         (("alice", "hand", "demo"), "--of demo: a hand needs its scene and tool"),
         (("alice", "viewer", "demo/probe"), "only a hand has a scene and a tool"),
-        (("../alice", "viewer", None), "client '../alice': must be 1 to 64 characters"),
+        (("../alice", "viewer", None), "client '../alice': must be 1 to 55 characters"),
+        ((56 * "a", "viewer", None), "a': must be 1 to 55 characters"),
     ],
 )
 def test_wrong_roles_are_refused(folder: KeyFolder, arguments: tuple[str, str, str | None], refusal: str) -> None:
@@ -137,6 +138,7 @@ def test_wrong_roles_are_refused(folder: KeyFolder, arguments: tuple[str, str, s
     with pytest.raises(tm.InvalidArgumentError, match="(?s)" + refusal.replace("(", r"\(")):
         folder.add(name, role, of=of)
     assert folder.entries() == []
+    assert ClientKeys.read(folder.add(55 * "a", "viewer").path).role == "viewer"
 
 
 def test_mistakes_in_the_folder_are_named(folder: KeyFolder, tmp_path: Path) -> None:

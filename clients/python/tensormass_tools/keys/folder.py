@@ -32,6 +32,8 @@ from tensormass_tools.keys.certificates import Certified, make_authority, make_c
 
 ROLES = ("operator", "hand", "viewer", "recorder", "metrics")
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+# The name of a certificate, NAME.KEY, has at most 64 characters.
+_CLIENT_NAME = re.compile(r"[A-Za-z0-9_-]{1,55}")
 _MOST_DAYS = 3650
 
 
@@ -260,8 +262,8 @@ class KeyFolder:
 
 def _check_role(name: str, role: str, of: str | None) -> tuple[str, str]:
     """Returns scene and tool of a hand, else empty names."""
-    if not _NAME.fullmatch(name):
-        raise InvalidArgumentError(f"client {name!r}: must be 1 to 64 characters out of [A-Za-z0-9_-]")
+    if not _CLIENT_NAME.fullmatch(name):
+        raise InvalidArgumentError(f"client {name!r}: must be 1 to 55 characters out of [A-Za-z0-9_-]")
     if role not in ROLES:
         raise InvalidArgumentError(f"role {role!r}: unknown; there are: {', '.join(ROLES)}")
     if role != "hand":
