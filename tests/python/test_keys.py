@@ -68,6 +68,15 @@ def test_certificates_say_what_they_are_for(folder: KeyFolder) -> None:
     names = daemon.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert {"tensormassd", "trainer.example", "localhost"} <= set(names.get_values_for_type(x509.DNSName))
     assert "192.0.2.10" in {str(address) for address in names.get_values_for_type(x509.IPAddress)}
+    page_authority = x509.load_pem_x509_certificate((folder.path / "page-authority.pem").read_bytes())
+    for certificate, signer in (
+        (client, x509.load_pem_x509_certificate(keys.authority.encode())),
+        (page, page_authority),
+        (page_authority, page_authority),
+    ):
+        named = certificate.extensions.get_extension_for_class(x509.AuthorityKeyIdentifier).value
+        own = signer.extensions.get_extension_for_class(x509.SubjectKeyIdentifier).value
+        assert named.key_identifier == own.digest
     now = datetime.datetime.now(datetime.UTC)
     assert client.not_valid_before_utc < now - datetime.timedelta(hours=23), "clocks may differ"
 

@@ -33,7 +33,7 @@ class Certified:
 def make_authority(name: str, now_s: int) -> Certified:
     """Makes an authority that signs for itself."""
     key = ec.generate_private_key(ec.SECP256R1())
-    builder = _builder(name, _name(name), key, now_s, AUTHORITY_DAYS)
+    builder = _builder(name, _name(name), key, key, now_s, AUTHORITY_DAYS)
     builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
     builder = builder.add_extension(_usage(signs_certificates=True), critical=True)
     return _certified(builder.sign(key, hashes.SHA256()), key)
@@ -56,7 +56,7 @@ def _signed(
     signing_key = serialization.load_pem_private_key(authority.private_key.encode(), None)
     assert isinstance(signing_key, ec.EllipticCurvePrivateKey)
     key = ec.generate_private_key(ec.SECP256R1())
-    builder = _builder(name, signer.subject, key, now_s, days)
+    builder = _builder(name, signer.subject, signing_key, key, now_s, days)
     builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
     builder = builder.add_extension(_usage(signs_certificates=False), critical=True)
     builder = builder.add_extension(x509.ExtendedKeyUsage([use]), critical=False)
@@ -69,7 +69,12 @@ def _signed(
 
 
 def _builder(
-    name: str, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, now_s: int, days: float
+    name: str,
+    issuer: x509.Name,
+    signing_key: ec.EllipticCurvePrivateKey,
+    key: ec.EllipticCurvePrivateKey,
+    now_s: int,
+    days: float,
 ) -> x509.CertificateBuilder:
     begin = datetime.datetime.fromtimestamp(now_s - CLOCK_SKEW_S, datetime.UTC)
     end = datetime.datetime.fromtimestamp(now_s, datetime.UTC) + datetime.timedelta(days=days)
@@ -81,6 +86,10 @@ def _builder(
         .serial_number(x509.random_serial_number())
         .not_valid_before(begin)
         .not_valid_after(end)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key()), critical=False
+        )
     )
 
 
