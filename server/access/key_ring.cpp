@@ -10,6 +10,7 @@
 #include <cstring>
 #include <ctime>
 #include <exception>
+#include <new>
 #include <utility>
 
 #include <fmt/format.h>
@@ -166,16 +167,17 @@ std::vector<ClientPtr> KeyRing::list() const {
   return out;
 }
 
-void KeyRing::follow(std::function<void()> on_change) {
+void KeyRing::follow(std::function<bool()> on_change) {
   thread_ = std::thread([this, changed = std::move(on_change)] { run(changed); });
 }
 
-void KeyRing::run(const std::function<void()>& on_change) {
+void KeyRing::run(const std::function<bool()>& on_change) {
   const auto same = [](const std::vector<ClientPtr>& a, const std::vector<ClientPtr>& b) {
     return std::equal(a.begin(), a.end(), b.begin(), b.end(),
                       [](const ClientPtr& one, const ClientPtr& other) { return *one == *other; });
   };
   std::vector<ClientPtr> before = list();
+  bool done = true;  // on_change has taken what counts
   while (true) {
     {
       std::unique_lock lock(mutex_);
@@ -184,10 +186,14 @@ void KeyRing::run(const std::function<void()>& on_change) {
     try {
       read_again();
       std::vector<ClientPtr> now = list();
-      if (same(before, now)) continue;
-      log::info("other keys count", {{"before", before.size()}, {"now", now.size()}});
-      on_change();
-      before = std::move(now);
+      if (!same(before, now)) {
+        log::info("other keys count", {{"before", before.size()}, {"now", now.size()}});
+        before = std::move(now);
+        done = false;
+      }
+      if (!done) done = on_change();
+    } catch (const std::bad_alloc&) {
+      // Tried again in the next period, and not logged: a line needs memory, too.
     } catch (const std::exception& error) {
       log::error("the change of keys is tried again", {{"reason", error.what()}});
     }

@@ -49,14 +49,16 @@ class KeyRing {
   ClientPtr find_curve(std::string_view curve_public) const;
   /// All clients that count now.
   std::vector<ClientPtr> list() const;
-  /// Starts the thread. on_change: called on it, whenever others count than before. Call it once.
-  void follow(std::function<void()> on_change);
+  /// Starts the thread. Call it once.
+  /// on_change: bool(), called on the thread whenever others count than before. It is called again in each period until
+  /// it returns true; false, or an exception: not everything follows yet.
+  void follow(std::function<bool()> on_change);
   /// Ends the thread. May be called again.
   void stop();
 
  private:
   KeyRing(std::string folder, DaemonKeys daemon, ClientList clients, std::uint64_t seen);
-  void run(const std::function<void()>& on_change);
+  void run(const std::function<bool()>& on_change);
   void read_again();
 
   const std::string folder_;

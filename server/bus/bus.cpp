@@ -72,8 +72,10 @@ void Bus::forget(std::string_view key) {
   for (const auto& transport : transports_) transport->forget(key);
 }
 
-void Bus::keys_changed() {
-  for (const auto& transport : transports_) transport->keys_changed();
+bool Bus::keys_changed() {
+  bool done = true;
+  for (const auto& transport : transports_) done &= transport->keys_changed();
+  return done;
 }
 
 std::uint64_t Bus::malformed_count() const {

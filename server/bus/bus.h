@@ -70,8 +70,9 @@ class Bus {
   /// Drops the retained message of `key` on every transport. Any thread may call it.
   void forget(std::string_view key);
 
-  /// Cuts clients whose keys do not count any more. The key ring calls it (access::KeyRing::follow).
-  void keys_changed();
+  /// Cuts clients whose keys do not count any more. The key ring calls it (access::KeyRing::follow), and again while it
+  /// returns false.
+  bool keys_changed();
 
   const Endpoints& endpoints() const { return endpoints_; }
   /// Refused messages, plus connections whose peer did not speak the transport's protocol, since this bus was opened.

@@ -24,8 +24,9 @@ class Transport {
   virtual void publish(const MessagePtr& message, PublishOptions options) = 0;
   /// Drops the retained message of `key`; does nothing if there is no such message.
   virtual void forget(std::string_view key) = 0;
-  /// Cuts clients whose keys do not count any more. Scenes step on meanwhile.
-  virtual void keys_changed() {}
+  /// Cuts clients whose keys do not count any more. Scenes step on meanwhile. Returns false if it must be called again,
+  /// after a while.
+  virtual bool keys_changed() = 0;
 };
 
 }  // namespace tensormass::bus

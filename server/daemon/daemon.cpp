@@ -86,15 +86,15 @@ Result<void> Daemon::open(const Config& config) {
       server, control::ControlServer::start(
                   config.control, registry_, identity_, [this] { return malformed_count(); }, on_refused, keys_.get()));
   server_ = std::move(server);
-  if (keys_) keys_->follow([this] { bus_->keys_changed(); });
+  if (keys_) keys_->follow([this] { return bus_->keys_changed(); });
   return {};
 }
 
 Daemon::~Daemon() {
-  if (keys_) keys_->stop();
   if (server_ != nullptr) server_->announce_shutdown();
   std::vector<control::RunnerPtr> ending = registry_.close();
   publisher_.reset();
+  if (keys_) keys_->stop();
   server_.reset();
   ending.clear();
   bus_.reset();

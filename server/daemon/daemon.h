@@ -41,9 +41,10 @@ class Daemon {
   /// Ends the daemon in this order:
   /// 1. The health service answers NOT_SERVING. The registry refuses loads and cancels running steps.
   /// 2. The publisher sends zero forces and stops: hands are released before anything that may take long.
-  /// 3. The gRPC server lets running calls end, then cancels them.
-  /// 4. The loops of the scenes are joined, which takes up to a step each.
-  /// 5. The transports send what is queued and close.
+  /// 3. The key ring stops, after a session of zenoh that it may be opening.
+  /// 4. The gRPC server lets running calls end, then cancels them.
+  /// 5. The loops of the scenes are joined, which takes up to a step each.
+  /// 6. The transports send what is queued and close.
   ~Daemon();
 
   /// The answer of GetVersion, except for its count of malformed messages.

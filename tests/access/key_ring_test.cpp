@@ -1,7 +1,5 @@
 #include "access/key_ring.h"
 
-#include <sys/resource.h>
-
 #include <atomic>
 #include <chrono>
 #include <filesystem>
@@ -17,6 +15,7 @@
 
 #include "support/eventually.h"
 #include "support/key_folder.h"
+#include "support/no_descriptors.h"
 #include "support/refused.h"
 
 namespace tensormass::access {
@@ -41,20 +40,6 @@ class Lines final : public spdlog::sinks::base_sink<std::mutex> {
   }
   void flush_() override {}
   std::string text_;
-};
-
-/// While one exists, this process opens no file.
-class NoDescriptors {
- public:
-  NoDescriptors() {
-    getrlimit(RLIMIT_NOFILE, &before_);
-    const rlimit none{0, before_.rlim_max};
-    setrlimit(RLIMIT_NOFILE, &none);
-  }
-  ~NoDescriptors() { setrlimit(RLIMIT_NOFILE, &before_); }
-
- private:
-  rlimit before_{};
 };
 
 class KeyRingTest : public testing::Test {
@@ -83,9 +68,9 @@ class KeyRingTest : public testing::Test {
 };
 
 TEST_F(KeyRingTest, ARemovalCountsThoughTheListCouldNotBeReadAtFirst) {
-  ring_->follow([] {});
+  ring_->follow([] { return true; });
   {
-    const NoDescriptors none;
+    const tests::NoDescriptors none;
     folder_.rename("without.json", "clients.json");
     EXPECT_TRUE(eventually([&] { return lines_->count(kUnreadable) > 0; }));
     EXPECT_TRUE(knows_alice()) << "the list before counts on";
@@ -95,7 +80,7 @@ TEST_F(KeyRingTest, ARemovalCountsThoughTheListCouldNotBeReadAtFirst) {
 }
 
 TEST_F(KeyRingTest, AFolderInPlaceOfTheListIsTold) {
-  ring_->follow([] {});
+  ring_->follow([] { return true; });
   folder_.rename("clients.json", "before.json");
   std::filesystem::create_directory(folder_.path() / "clients.json");
   EXPECT_TRUE(eventually([&] { return lines_->count("clients.json is not a file") > 0; }));
@@ -109,9 +94,11 @@ TEST_F(KeyRingTest, AChangeThatFailsIsTriedAgain) {
   std::atomic<int> calls = 0;
   ring_->follow([&] {
     if (++calls == 1) throw std::runtime_error("no memory");
+    return calls == 3;
   });
   folder_.rename("without.json", "clients.json");
-  EXPECT_TRUE(eventually([&] { return calls == 2; }));
+  EXPECT_TRUE(eventually([&] { return calls == 3; }));
+  EXPECT_EQ(lines_->count("other keys count"), 1);
   EXPECT_EQ(lines_->count("the change of keys is tried again reason=\"no memory\""), 1);
 }
 

@@ -1,7 +1,5 @@
 #include "bus/zenoh/zenoh_transport.h"
 
-#include <chrono>
-#include <thread>
 #include <utility>
 
 #include "bus/keys.h"
@@ -11,10 +9,6 @@
 
 namespace tensormass::bus {
 namespace {
-
-/// Attempts to listen again at the address of the session before, and the time between two.
-constexpr int kReopenAttempts = 20;
-constexpr std::chrono::milliseconds kReopenPause{100};
 
 /// tcp/HOST:PORT, as users write it, is tls/HOST:PORT with keys.
 std::string with_tls(const std::string& locator) {
@@ -53,11 +47,11 @@ Result<void> ZenohTransport::open_session() {
     wanted.private_key = own.private_key_pem;
   }
   TM_ASSIGN_OR_RETURN(session, zenoh::Session::open(wanted));
+  TM_ASSIGN_OR_RETURN(poses, session.subscribe(pose_key(options_.server, "*", "*"),
+                                               [this](std::string_view key, std::string_view payload) {
+                                                 input_.receive(key, payload);
+                                               }));
   session_.emplace(std::move(session));
-  TM_ASSIGN_OR_RETURN(poses, session_->subscribe(pose_key(options_.server, "*", "*"),
-                                                 [this](std::string_view key, std::string_view payload) {
-                                                   input_.receive(key, payload);
-                                                 }));
   poses_ = std::move(poses);
   return {};
 }
@@ -84,29 +78,28 @@ void ZenohTransport::forget(std::string_view key) {
   if (open.owns_lock() && session_) session_->forget(key);
 }
 
-void ZenohTransport::keys_changed() {
-  if (options_.keys == nullptr) return;
+bool ZenohTransport::keys_changed() {
+  if (options_.keys == nullptr) return true;
   std::string rules = zenoh_access_control(options_.server, options_.keys->list());
-  if (rules == access_control_) return;
+  // Only this thread ends and begins sessions.
+  if (session_ && rules == access_control_) return true;
   access_control_ = std::move(rules);
   {
     const std::unique_lock closed(session_mutex_);
     poses_ = {};
     session_.reset();
-    for (int attempt = 1;; ++attempt) {
-      const auto opened = open_session();
-      if (opened) break;
-      session_.reset();
-      if (attempt == kReopenAttempts) {
-        access_control_.clear();  // so that the next change tries again
-        return log::error("zenoh is off", {{"reason", opened.error().message}});
+    if (const auto opened = open_session(); !opened) {
+      if (!std::exchange(told_off_, true)) {
+        log::error("zenoh is off, and is tried again", {{"reason", opened.error().message}});
       }
-      std::this_thread::sleep_for(kReopenPause);
+      return false;
     }
   }
+  if (std::exchange(told_off_, false)) log::info("zenoh is on again");
   const std::lock_guard lock(retained_mutex_);
   const std::shared_lock open(session_mutex_);
   for (const auto& [key, message] : retained_) session_->retain(key, message->payload());
+  return true;
 }
 
 }  // namespace tensormass::bus

@@ -45,8 +45,9 @@ class ZenohTransport final : public Transport {
 
   void publish(const MessagePtr& message, PublishOptions options) override;
   void forget(std::string_view key) override;
-  /// Opens the session again if the rules are others now. Called on one thread.
-  void keys_changed() override;
+  /// Opens the session again if the rules are others now. Tries once, and returns false if there is no session then.
+  /// Called on one thread.
+  bool keys_changed() override;
 
   /// The address that clients connect to, with the port that was chosen.
   const std::string& locator() const { return locator_; }
@@ -60,6 +61,7 @@ class ZenohTransport final : public Transport {
   PoseInput& input_;
   std::string locator_;
   std::string access_control_;
+  bool told_off_ = false;  // the log says that there is no session
   // With keys only: the messages that a new session must retain, and who may open one. Lock them in this order.
   std::mutex retained_mutex_;
   std::map<std::string, MessagePtr, std::less<>> retained_;

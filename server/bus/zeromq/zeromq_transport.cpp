@@ -315,10 +315,11 @@ void ZeroMqTransport::receive_poses() {
   }
 }
 
-void ZeroMqTransport::keys_changed() {
+bool ZeroMqTransport::keys_changed() {
   const std::lock_guard lock(mutex_);
   keys_changed_ = true;
   eventfd_write(wake_event_, 1);
+  return true;
 }
 
 void ZeroMqTransport::cut_removed() {

@@ -68,7 +68,7 @@ class ZeroMqTransport final : public Transport {
 
   void publish(const MessagePtr& message, PublishOptions options) override;
   void forget(std::string_view key) override;
-  void keys_changed() override;
+  bool keys_changed() override;
 
   /// The addresses that clients connect to, with the ports that were chosen.
   const std::string& publish_endpoint() const { return publish_endpoint_; }
