@@ -25,7 +25,7 @@ pytest.importorskip("cryptography", reason="needs the extra `keys`")
 from attack_parts import DEADLINE_S, IN_AIR_M, block, wait_for
 
 import tensormass as tm
-from tensormass._src.client_keys import ClientKeys, channel_options, date_of
+from tensormass._src.client_keys import ClientKeys, channel_options, date_of, write_secret
 from tensormass._src.poses import PoseSequence
 from tensormass._src.streams import Transport
 from tensormass.v1 import control_pb2, control_pb2_grpc
@@ -382,6 +382,20 @@ def connects(daemon: Guarded, keys: ClientKeys) -> bool:
         tm.connect(daemon.server.address, keys=keys, timeout_s=1).close()
         return True
     return False
+
+
+def test_another_role_reaches_open_subscriptions(tmp_path: Path) -> None:
+    with guarded(tmp_path) as daemon, daemon.socket(zmq.SUB, daemon.keys["viewer"]) as subscriber:
+        subscriber.subscribe(key_of("frame", "a").encode() + b"\0")
+        with subscriber.get_monitor_socket(zmq.EVENT_DISCONNECTED) as cut:
+            subscriber.connect(daemon.version.zeromq_publish_endpoint)
+            subscriber.recv()
+            path = daemon.folder.path / "clients.json"
+            content = json.loads(path.read_text())
+            for client in content["clients"]:
+                client["role"] = "metrics" if client["role"] == "viewer" else client["role"]
+            write_secret(path, content)
+            assert cut.poll(int(1000 * DEADLINE_S))
 
 
 def test_expired_keys_are_refused_also_without_the_list(tmp_path: Path) -> None:

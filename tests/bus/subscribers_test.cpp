@@ -1,6 +1,7 @@
 #include "bus/zeromq/subscribers.h"
 
 #include <array>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -63,6 +64,25 @@ TEST_F(SubscribersTest, WhatAnEndedConnectionSentDoesNotHarmTheNextOneUnderItsDe
   EXPECT_EQ(subscribe(connection(1, 5), feedback(0)), Verdict::kAccepted);
   EXPECT_EQ(subscribe(connection(0, 5), feedback(1)), Verdict::kIgnored);
   EXPECT_EQ(subscribe(connection(1, 5), feedback(1)), Verdict::kAccepted);
+}
+
+TEST_F(SubscribersTest, RefusesWhoseClientOrSubscriptionDoesNotCountAnyMore) {
+  const auto as = [&](std::size_t n, std::string_view client) {
+    return Subscribers::Connection{&ids_[n], static_cast<int>(n), client};
+  };
+  for (const std::size_t key : {0u, 1u}) {
+    subscribe(as(0, "stays"), feedback(key));
+    subscribe(as(1, "removed"), feedback(key));
+    subscribe(as(2, "other role"), feedback(key));
+  }
+  const auto counts = [](std::string_view client) { return client != "removed"; };
+  const auto may = [](std::string_view client, std::string_view subscription) {
+    return client != "other role" || subscription != feedback(1);
+  };
+  EXPECT_EQ(subscribers_.refuse_removed(counts, may), (std::vector<int>{1, 2}));
+  EXPECT_TRUE(subscribers_.refuse_removed(counts, may).empty()) << "once";
+  EXPECT_EQ(subscribe(as(0, "stays"), feedback(2)), Verdict::kAccepted);
+  EXPECT_EQ(subscribe(as(2, "other role"), feedback(0)), Verdict::kIgnored);
 }
 
 TEST_F(SubscribersTest, KeepsNothingOfConnectionsThatEnded) {

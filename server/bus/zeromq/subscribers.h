@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstddef>
 #include <map>
@@ -95,14 +96,20 @@ class Subscribers {
       if (peer.gone) clean_after_ = now + kLeftover;
     }
   }
-  /// Refuses the peers whose client does not count any more, and returns their descriptors.
+  /// Refuses the peers whose client does not count any more, or may not have one of its subscriptions any more. Returns
+  /// their descriptors.
   /// counts: bool(std::string_view client)
-  template <class Counts>
-  std::vector<int> refuse_removed(const Counts& counts) {
+  /// may: bool(std::string_view client, std::string_view subscription), the subscription with its zero byte
+  template <class Counts, class May>
+  std::vector<int> refuse_removed(const Counts& counts, const May& may) {
     std::vector<int> descriptors;
     for (const auto& [descriptor, id] : by_descriptor_) {
       Peer& peer = peers_.at(id);
-      if (peer.refused || counts(peer.client)) continue;
+      const auto may_have = [&](const std::string& subscription) { return may(peer.client, subscription); };
+      if (peer.refused || (counts(peer.client) && std::all_of(peer.subscriptions.begin(), peer.subscriptions.end(),
+                                                              may_have))) {
+        continue;
+      }
       peer.subscriptions.clear();
       peer.refused = true;
       descriptors.push_back(descriptor);

@@ -324,8 +324,13 @@ bool ZeroMqTransport::keys_changed() {
 
 void ZeroMqTransport::cut_removed() {
   const auto counts = [this](std::string_view client) { return keys_->find(client) != nullptr; };
-  for (const int descriptor : subscribers_.refuse_removed(counts)) {
-    disconnect(descriptor, "a subscriber whose key was removed or has expired; it was disconnected");
+  const auto may = [this](std::string_view client, std::string_view subscription) {
+    return may_subscribe(client, subscription.substr(0, subscription.size() - 1));
+  };
+  for (const int descriptor : subscribers_.refuse_removed(counts, may)) {
+    disconnect(descriptor,
+               "a subscriber whose key was removed, has expired, or does not allow its subscriptions any more; it was "
+               "disconnected");
   }
 }
 

@@ -93,7 +93,8 @@ class ZeroMqTransport final : public Transport {
   void receive_loop();
   /// Answers ZeroMQ's questions whether a client is let in (ZAP, rfc.zeromq.org/spec/27).
   void authenticate();
-  /// Disconnects subscribers whose keys do not count any more. The caller must hold mutex_.
+  /// Disconnects subscribers whose keys do not count any more, or do not allow what they subscribed to. The caller must
+  /// hold mutex_.
   void cut_removed();
   /// Whether a client may subscribe to a key.
   bool may_subscribe(std::string_view client, std::string_view key) const;
