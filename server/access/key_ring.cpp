@@ -212,6 +212,7 @@ void KeyRing::read_again() {
   const auto text = read_file(path, S_IWOTH, "the list before counts on");
   if (!text) return say(text.error());  // it is read again in each period
   seen_ = signature;
+  log::debug("the list of clients was read");
   auto clients = read_client_list(*text, path);
   if (!clients) return say(clients.error());
   told_.reset();
