@@ -13,9 +13,10 @@ import pytest
 pytest.importorskip("cryptography", reason="needs the extra `keys`")
 
 from asynchronous import asynchronous
-from gateway_parts import TOKEN, options, origin
+from gateway_parts import OPERATOR_TOKEN, TOKEN, options, origin
 
 from tensormass._src.client_keys import ClientKeys
+from tensormass_gateway import entry
 from tensormass_gateway.command import tell_next_addresses
 from tensormass_gateway.gateway import Gateway, serve
 from tensormass_gateway.page_tls import is_loopback
@@ -114,6 +115,29 @@ async def test_the_next_code_is_for_a_terminal_alone(
                 assert answer.status == 204
         assert len(told) == terminal
         assert all(gateway.once_url in text and gateway.look_once_url in text for text in told)
+
+
+@asynchronous
+async def test_sessions_that_look_push_no_operator_out(viewer: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(entry, "MAX_SESSIONS", 2)
+    async with serve(options(viewer)) as gateway:
+        page = origin(gateway)
+
+        async def enter(token: str) -> dict[str, str]:
+            async with (
+                aiohttp.ClientSession(headers={"Origin": page}) as browser,
+                browser.post(f"{page}/enter", json={"token": token}) as answer,
+            ):
+                return {name: cookie.value for name, cookie in answer.cookies.items()}
+
+        async def status(cookies: dict[str, str]) -> int:
+            async with aiohttp.ClientSession(cookies=cookies) as browser, browser.get(f"{page}/status") as answer:
+                return answer.status
+
+        operator = await enter(OPERATOR_TOKEN)
+        lookers = [await enter(TOKEN) for _ in range(3)]
+        assert await status(operator) == 200
+        assert [await status(looker) for looker in lookers] == [403, 200, 200]
 
 
 @asynchronous

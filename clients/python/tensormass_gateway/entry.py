@@ -18,7 +18,7 @@ from aiohttp import web
 from tensormass_gateway.options import GatewayOptions
 
 MAX_SESSIONS = 256
-"""Pages that are let in at once. The oldest makes room."""
+"""Pages of each role that are let in at once. The oldest makes room, so lookers push no operator out."""
 
 _LOOK, _OPERATE = False, True
 
@@ -52,8 +52,9 @@ class Entry:
             self._codes[operator] = new_secret()
         session = new_secret()
         self._sessions[session] = operator
-        while len(self._sessions) > MAX_SESSIONS:
-            self._sessions.pop(next(iter(self._sessions)))
+        alike = [each for each, role in self._sessions.items() if role == operator]
+        for oldest in alike[:-MAX_SESSIONS]:
+            del self._sessions[oldest]
         if by_code:
             self.on_used()
         return session
