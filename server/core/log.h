@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <concepts>
@@ -24,7 +25,7 @@ inline std::string json_quoted(std::string_view text) {
   for (const char c : text) {
     if (c == '"' || c == '\\') {
       quoted.append(1, '\\').append(1, c);
-    } else if (static_cast<unsigned char>(c) < 0x20) {
+    } else if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) {
       char escape[8];
       std::snprintf(escape, sizeof escape, "\\u%04x", static_cast<unsigned>(static_cast<unsigned char>(c)));
       quoted.append(escape);
@@ -60,22 +61,29 @@ inline void configure(spdlog::level::level_enum level, Format format) {
                                               : "%Y-%m-%d %H:%M:%S.%e %^%-7l%$ %v");
 }
 
-/// Writes one line, or nothing if the level is disabled.
-inline void write(spdlog::level::level_enum level, std::string_view event, std::initializer_list<Field> fields = {}) {
-  if (!spdlog::should_log(level)) return;
-  const bool json = detail::format == Format::kJson;
+/// Returns a line without its time and level. Values that a client chose can forge neither a line nor a field.
+inline std::string line_of(Format format, std::string_view event, std::initializer_list<Field> fields) {
+  const bool json = format == Format::kJson;
+  const auto is_plain = [](char c) { return static_cast<unsigned char>(c) > 0x20 && c != 0x7f && c != '"'; };
   std::string line = json ? "\"event\":" + json_quoted(event) : std::string(event);
   for (const Field& field : fields) {
     if (json) {
       line.append(",").append(json_quoted(field.key)).append(":");
       line.append(field.is_text ? json_quoted(field.value) : field.value);
     } else {
-      const bool plain = !field.is_text || (!field.value.empty() && field.value.find(' ') == std::string::npos);
+      const bool plain =
+          !field.is_text || (!field.value.empty() && std::all_of(field.value.begin(), field.value.end(), is_plain));
       line.append(" ").append(field.key).append("=").append(plain ? field.value : json_quoted(field.value));
     }
   }
+  return line;
+}
+
+/// Writes one line, or nothing if the level is disabled.
+inline void write(spdlog::level::level_enum level, std::string_view event, std::initializer_list<Field> fields = {}) {
+  if (!spdlog::should_log(level)) return;
   // The line is an argument, never the format string: its text may come from a client.
-  spdlog::log(level, "{}", line);
+  spdlog::log(level, "{}", line_of(detail::format, event, fields));
 }
 
 inline void debug(std::string_view event, std::initializer_list<Field> fields = {}) {

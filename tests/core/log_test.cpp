@@ -18,6 +18,20 @@ TEST(Log, FieldsKnowTextFromNumbers) {
   EXPECT_EQ(Field("count", 7u).value, "7");
 }
 
+TEST(Log, ValuesForgeNoLineOfText) {
+  const auto text = [](std::string_view value) { return line_of(Format::kText, "event", {{"key", value}}); };
+  EXPECT_EQ(text("plain"), "event key=plain");
+  EXPECT_EQ(text("λ"), "event key=λ");
+  EXPECT_EQ(text(""), "event key=\"\"");
+  EXPECT_EQ(text("two words"), "event key=\"two words\"");
+  EXPECT_EQ(text("a\nerror"), "event key=\"a\\u000aerror\"");
+  EXPECT_EQ(text("\x1b[2K"), "event key=\"\\u001b[2K\"");
+  EXPECT_EQ(text("\x7f"), "event key=\"\\u007f\"");
+  EXPECT_EQ(text("\tother=1"), "event key=\"\\u0009other=1\"");
+  EXPECT_EQ(text("\"quoted\""), "event key=\"\\\"quoted\\\"\"");
+  EXPECT_EQ(line_of(Format::kText, "event", {{"count", 7}}), "event count=7");
+}
+
 TEST(LogLimiter, AdmitsTheFirstLineAndSuppressesTheNext) {
   Limiter limiter;
   EXPECT_EQ(limiter.admit(), 0u);
