@@ -150,6 +150,9 @@ async def test_a_token_becomes_a_cookie_of_its_role(viewer: Path) -> None:
                 assert answer.status == 204
             async with browser.ws_connect(f"{page}/stream", origin=page) as socket:
                 assert not (await socket.receive_json(timeout=20))["operator"]
+            # A wrong token is refused also in a browser that was let in.
+            async with browser.get(f"{page}/status", params={"token": "another"}) as answer:
+                assert answer.status == 403
 
 
 @asynchronous

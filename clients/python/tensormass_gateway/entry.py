@@ -60,9 +60,12 @@ class Entry:
         return session
 
     def role_of(self, request: web.Request) -> bool | None:
-        """Returns whether a request is an operator's; None if it is nobody's."""
-        session = self._sessions.get(request.cookies.get(self.cookie, ""))
-        return session if session is not None else self.role_of_token(request.query.get("token", ""))
+        """Returns whether a request is an operator's; None if it is nobody's. A token counts alone, so that who gives a
+        wrong one is told so, also in a browser that was let in before."""
+        token = request.query.get("token")
+        if token is not None:
+            return self.role_of_token(token)
+        return self._sessions.get(request.cookies.get(self.cookie, ""))
 
     def role_of_token(self, token: str) -> bool | None:
         if same(token, self._options.operator_token):

@@ -1,8 +1,9 @@
 // The page's address: what it asks for, and what it remembers for a reload.
 //
-// ?code= as the gateway prints it, or ?token=: enter() changes them into a cookie and leaves them out; ?scene= names the selected scene (default: the first that runs); ?grid=1 shows all
-// scenes in a grid; ?quality= fixes a level of view/quality.ts or is "automatic" (default: what Display remembers);
-// ?codec= (default: q16), ?rate_hz=, ?normals= and ?detail= choose the frames that the gateway sends (docs/protocol.md).
+// ?code= as the gateway prints it, or ?token=: enter() changes them into a cookie and leaves them out; ?scene= names the
+// selected scene (default: the first that runs); ?grid=1 shows all scenes in a grid; ?quality= fixes a level of
+// view/quality.ts or is "automatic" (default: what Display remembers); ?codec= (default: q16), ?rate_hz=, ?normals= and
+// ?detail= choose the frames that the gateway sends (docs/protocol.md).
 import type { Diagnosis, FrameChoice } from "./stream/connection";
 
 export class Address {
