@@ -6,9 +6,9 @@
 #include <gtest/gtest.h>
 
 #include "access/key_ring.h"
+#include "support.h"
 #include "support/key_folder.h"
 #include "support/no_descriptors.h"
-#include "support.h"
 
 namespace tensormass::bus {
 namespace {
@@ -18,7 +18,8 @@ TEST(ZenohKeys, ASessionThatCannotOpenIsTriedAgain) {
   folder.write("without.json", tests::KeyFolder::list_of(""));
   auto keys = access::KeyRing::open(folder.path());
   ASSERT_TRUE(keys) << keys.error().message;
-  PoseInput input(test::kServer, [](auto&&...) {}, [](auto&&...) {}, keys->get());
+  PoseInput input(
+      test::kServer, [](auto&&...) {}, [](auto&&...) {}, keys->get());
   auto transport =
       ZenohTransport::open({.server = test::kServer, .listen = "tcp/127.0.0.1:0", .keys = keys->get()}, input);
   ASSERT_TRUE(transport) << transport.error().message;

@@ -52,14 +52,15 @@ class KeyFolder {
   /// Makes a client of TLS use the daemon's own certificate, which is an authority of itself.
   void use_in(SSL_CTX* context) const {
     const std::unique_ptr<BIO, decltype(&BIO_free)> pem(BIO_new_mem_buf(certificate_.data(), -1), &BIO_free);
-    const std::unique_ptr<X509, decltype(&X509_free)> certificate(PEM_read_bio_X509(pem.get(), nullptr, nullptr, nullptr),
-                                                                  &X509_free);
+    const std::unique_ptr<X509, decltype(&X509_free)> certificate(
+        PEM_read_bio_X509(pem.get(), nullptr, nullptr, nullptr), &X509_free);
     SSL_CTX_use_certificate(context, certificate.get());
     SSL_CTX_use_PrivateKey(context, key_.get());
   }
   void write(const std::string& name, const std::string& text) const {
     std::ofstream(path_ / name) << text;
-    std::filesystem::permissions(path_ / name, std::filesystem::perms::owner_read | std::filesystem::perms::owner_write);
+    std::filesystem::permissions(path_ / name,
+                                 std::filesystem::perms::owner_read | std::filesystem::perms::owner_write);
   }
   /// In one step, without a descriptor.
   void rename(const std::string& from, const std::string& to) const {
@@ -100,9 +101,8 @@ class KeyFolder {
     X509_set_pubkey(made.get(), key_.get());
     if (X509_sign(made.get(), key_.get(), EVP_sha256()) == 0) throw std::runtime_error("OpenSSL signs nothing");
     certificate_ = pem_of([&](BIO* bio) { return PEM_write_bio_X509(bio, made.get()); });
-    private_key_ = pem_of([&](BIO* bio) {
-      return PEM_write_bio_PrivateKey(bio, key_.get(), nullptr, nullptr, 0, nullptr, nullptr);
-    });
+    private_key_ = pem_of(
+        [&](BIO* bio) { return PEM_write_bio_PrivateKey(bio, key_.get(), nullptr, nullptr, 0, nullptr, nullptr); });
   }
 
   std::filesystem::path path_;

@@ -106,8 +106,8 @@ class Subscribers {
     for (const auto& [descriptor, id] : by_descriptor_) {
       Peer& peer = peers_.at(id);
       const auto may_have = [&](const std::string& subscription) { return may(peer.client, subscription); };
-      if (peer.refused || (counts(peer.client) && std::all_of(peer.subscriptions.begin(), peer.subscriptions.end(),
-                                                              may_have))) {
+      if (peer.refused ||
+          (counts(peer.client) && std::all_of(peer.subscriptions.begin(), peer.subscriptions.end(), may_have))) {
         continue;
       }
       peer.subscriptions.clear();
