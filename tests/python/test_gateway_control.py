@@ -178,5 +178,5 @@ async def test_two_addresses_are_for_two_roles(viewer: Path) -> None:
 
 
 def test_empty_token_makes_nobody_an_operator(viewer: Path) -> None:
-    with pytest.raises(ValueError, match=r"^--operator-token has 0 characters"):
+    with pytest.raises(ValueError, match=r"^--operator-token-file has 0 characters"):
         Gateway(options(viewer, operator_token=""))
