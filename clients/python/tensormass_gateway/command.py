@@ -53,9 +53,7 @@ def tell_next_addresses(gateway: Gateway, say: Callable[[str], None]) -> None:
     Only a terminal is told. Elsewhere the output is a log, whose readers would always have a code that counts.
     """
     if sys.stdout.isatty():
-        gateway.on_code_used(
-            lambda: say(f"another browser: {gateway.once_url}\nto look only: {gateway.look_once_url}")
-        )
+        gateway.on_code_used(lambda: say(f"another browser: {gateway.once_url}\nto look only: {gateway.look_once_url}"))
 
 
 def print_line(text: str) -> None:
