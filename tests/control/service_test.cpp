@@ -29,7 +29,10 @@ class ServiceTest : public testing::Test {
     server = std::move(*started);
     grpc::ChannelArguments arguments;
     arguments.SetMaxReceiveMessageSize(-1);
+    arguments.SetInt(GRPC_ARG_ENABLE_HTTP_PROXY, 0);
     channel = grpc::CreateCustomChannel(server->endpoint(), grpc::InsecureChannelCredentials(), arguments);
+    // gRPC 1.51 may take a connection that is under way for one that failed (an errno of malloc), and then tries again.
+    channel->WaitForConnected(std::chrono::system_clock::now() + std::chrono::seconds(60));
     stub = v1::Control::NewStub(channel);
   }
 

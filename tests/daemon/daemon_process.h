@@ -126,8 +126,12 @@ class DaemonProcess {
     }
     grpc::ChannelArguments arguments_of_channel;
     arguments_of_channel.SetMaxReceiveMessageSize(-1);
-    stub = v1::Control::NewStub(
-        grpc::CreateCustomChannel(endpoint("control"), grpc::InsecureChannelCredentials(), arguments_of_channel));
+    arguments_of_channel.SetInt(GRPC_ARG_ENABLE_HTTP_PROXY, 0);
+    const auto channel =
+        grpc::CreateCustomChannel(endpoint("control"), grpc::InsecureChannelCredentials(), arguments_of_channel);
+    // gRPC 1.51 may take a connection that is under way for one that failed (an errno of malloc), and then tries again.
+    channel->WaitForConnected(std::chrono::system_clock::now() + std::chrono::seconds(60));
+    stub = v1::Control::NewStub(channel);
   }
 
   std::filesystem::path ready_file() const { return folder / "ready.json"; }
