@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from daemon_parts import make_viewer
 from service_parts import BLOCK, DEADLINE_S, block
 from test_client import wait_until
 
@@ -100,6 +101,24 @@ def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path, runtime_folder: Pa
     assert list(runtime_folder.iterdir()) == []
     for pid in children:
         assert not Path(f"/proc/{pid}").exists(), f"{children[pid]} is left running"
+
+
+def test_the_address_that_run_prints_leads_to_a_frame(tmp_path: Path, runtime_folder: Path) -> None:
+    scene_file = tmp_path / "block.yaml"
+    scene_file.write_text(BLOCK)
+    options = ["--backend", "cpu", "--no-haptic", "--viewer", str(make_viewer(tmp_path / "dist")), "--json"]
+    with command("run", str(scene_file), *options) as process:
+        try:
+            assert process.stdout is not None
+            address = next(map(json.loads, process.stdout))["viewer"]
+            # As a newcomer's wait is measured (tests/setup/from_nothing.py).
+            first_frame = Path(__file__).parents[1] / "setup" / "first_frame.py"
+            seen = subprocess.run([sys.executable, first_frame, address], capture_output=True, text=True, timeout=120)
+            assert seen.returncode == 0, seen.stderr
+            assert int(seen.stdout) > 1000
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=DEADLINE_S)
 
 
 def test_run_says_a_warning_once(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 import aiohttp
 
@@ -16,14 +16,17 @@ LIMIT_S = 60.0
 
 
 async def first_frame(url: str) -> int:
-    """Returns the size of the first frame in bytes. url: as `tensormass run` prints it, with its token."""
+    """Returns the size of the first frame in bytes. url: as `tensormass run` prints it, with its code."""
     parts = urlsplit(url)
     origin = f"{parts.scheme}://{parts.netloc}"
-    async with aiohttp.ClientSession(trust_env=False) as session:
+    jar = aiohttp.CookieJar(unsafe=True)  # takes cookies of addresses
+    async with aiohttp.ClientSession(trust_env=False, cookie_jar=jar, headers={"Origin": origin}) as session:
         async with session.get(url) as page:
             page.raise_for_status()
             await page.read()
-        async with session.ws_connect(f"{origin}/stream?{parts.query or parts.fragment}", origin=origin) as socket:
+        async with session.post(f"{origin}/enter", json=dict(parse_qsl(parts.query))) as entered:
+            entered.raise_for_status()
+        async with session.ws_connect(f"{origin}/stream", origin=origin) as socket:
             async for message in socket:
                 if message.type == aiohttp.WSMsgType.TEXT:
                     told = json.loads(message.data)
