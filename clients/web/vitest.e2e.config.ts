@@ -26,8 +26,8 @@ export default defineConfig({
   test: {
     include: ["tests/e2e/**/*.test.ts"],
     // Bounds against hanging only: a software renderer beside other work may take long.
-    testTimeout: 300_000,
-    hookTimeout: 300_000,
+    testTimeout: 120_000,
+    hookTimeout: 120_000,
     expect: { poll: { timeout: 60_000 } },
     // One daemon and one software renderer already use two cores.
     fileParallelism: false,

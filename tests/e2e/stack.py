@@ -174,6 +174,10 @@ class Stack:
     def unload(self, name: str) -> None:
         self.scenes.pop(name).unload()
 
+    def unload_all(self) -> None:
+        for status in self.server.scenes():
+            self.server.scene(status.scene).unload()
+
     def settle(self, name: str, speed_m_per_s: float = 2e-3) -> float:
         """Waits until nothing moves faster than `speed_m_per_s`. Returns the remaining speed [m/s]."""
         handle = self.scenes[name]
