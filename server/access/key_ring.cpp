@@ -29,7 +29,8 @@ constexpr std::chrono::milliseconds kPeriod{500};
 
 std::int64_t now_s() { return static_cast<std::int64_t>(std::time(nullptr)); }
 
-/// Changes whenever a file is written or replaced, or gets another mode or owner; 0: there is none.
+/// Returns a hash of a file's inode, size and times. A write, a replacement, another mode or owner changes it. 0: the
+/// file does not exist.
 std::uint64_t signature_of(const std::string& path) {
   struct stat found {};
   if (stat(path.c_str(), &found) != 0) return 0;

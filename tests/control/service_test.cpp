@@ -12,6 +12,7 @@
 
 #include "control/control_server.h"
 #include "core/limits.h"
+#include "support/grpc_channel.h"
 #include "support/scenes.h"
 #include "tensormass/v1/control.grpc.pb.h"
 
@@ -27,12 +28,7 @@ class ServiceTest : public testing::Test {
     auto started = start("127.0.0.1:0");
     if (!started) throw std::runtime_error(started.error().message);
     server = std::move(*started);
-    grpc::ChannelArguments arguments;
-    arguments.SetMaxReceiveMessageSize(-1);
-    arguments.SetInt(GRPC_ARG_ENABLE_HTTP_PROXY, 0);
-    channel = grpc::CreateCustomChannel(server->endpoint(), grpc::InsecureChannelCredentials(), arguments);
-    // gRPC 1.51 may take a connection that is under way for one that failed (an errno of malloc), and then tries again.
-    channel->WaitForConnected(std::chrono::system_clock::now() + std::chrono::seconds(60));
+    channel = tests::connected_channel(server->endpoint());
     stub = v1::Control::NewStub(channel);
   }
 

@@ -24,6 +24,7 @@
 #include <gtest/gtest.h>
 
 #include "support/eventually.h"
+#include "support/grpc_channel.h"
 #include "tensormass/v1/control.grpc.pb.h"
 
 /// Runs the real program as users start it: a process with flags, a log and a ready file.
@@ -124,14 +125,7 @@ class DaemonProcess {
     if (!google::protobuf::util::JsonStringToMessage(ready_text, &ready_).ok()) {
       throw std::runtime_error("not JSON: " + ready_text);
     }
-    grpc::ChannelArguments arguments_of_channel;
-    arguments_of_channel.SetMaxReceiveMessageSize(-1);
-    arguments_of_channel.SetInt(GRPC_ARG_ENABLE_HTTP_PROXY, 0);
-    const auto channel =
-        grpc::CreateCustomChannel(endpoint("control"), grpc::InsecureChannelCredentials(), arguments_of_channel);
-    // gRPC 1.51 may take a connection that is under way for one that failed (an errno of malloc), and then tries again.
-    channel->WaitForConnected(std::chrono::system_clock::now() + std::chrono::seconds(60));
-    stub = v1::Control::NewStub(channel);
+    stub = v1::Control::NewStub(tests::connected_channel(endpoint("control")));
   }
 
   std::filesystem::path ready_file() const { return folder / "ready.json"; }

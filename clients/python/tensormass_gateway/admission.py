@@ -119,7 +119,7 @@ class Admission:
         return True
 
     def check_token(self, request: web.Request) -> None:
-        """Refuses a request without the token, and without a cookie."""
+        """Refuses a request that has neither a token nor the cookie of a session."""
         if self.entry.role_of(request) is None:
             self._refuse(request, web.HTTPForbidden(text=_NOT_LET_IN))
 

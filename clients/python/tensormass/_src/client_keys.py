@@ -147,7 +147,7 @@ KeysSource = str | Path | ClientKeys
 
 
 def keys_of(source: KeysSource | None) -> ClientKeys | None:
-    """Reads keys, unless they are read already, or there are none."""
+    """Returns keys as an object: reads a file, and passes on an object or None."""
     return source if source is None or isinstance(source, ClientKeys) else ClientKeys.read(source)
 
 
@@ -157,7 +157,7 @@ def channel_options(keys: ClientKeys | None, options: Sequence[tuple[str, Any]])
 
 
 def guard_socket(keys: ClientKeys | None, socket: zmq.Socket[Any]) -> None:
-    """Does nothing without keys."""
+    """Makes a ZeroMQ socket speak CURVE if there are keys. Call it before the socket connects."""
     if keys is not None:
         keys.guard_socket(socket)
 
