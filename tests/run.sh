@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Runs every test of every language, one runner after the other, and closes with one line for each runner.
-# A runner that fails does not stop the others. The end repeats which tests were skipped, and why.
+# A runner that fails does not stop the others. The end repeats which tests were skipped, which passed only when they ran
+# again, and which failed, and why.
 #
 #   tests/run.sh [lint] [ctest] [pytest] [vitest] [e2e]     default: all of them
 set -uo pipefail
@@ -26,6 +27,9 @@ run_pytest() {
 run_vitest() { (cd clients/web && npm run --silent test); }
 run_e2e() { (cd clients/web && npm run --silent e2e); }
 
+# A log without colours.
+plain() { sed -E 's/\x1b\[[0-9;]*m//g' "$1"; }
+
 # The line with which a runner reports its totals, and the two of pytest.
 closing_line() {
   local pattern lines=1
@@ -38,7 +42,7 @@ closing_line() {
       ;;
     *) pattern='^ *Tests +' ;;
   esac
-  sed -E 's/\x1b\[[0-9;]*m//g' "$logs/$1.log" | grep -E "$pattern" | tail -n "$lines" |
+  plain "$logs/$1.log" | grep -E "$pattern" | tail -n "$lines" |
     sed -E 's/^[ =]+//; s/[ =]+$//' | paste -sd '+' | sed 's/+/ + /g'
 }
 
@@ -51,6 +55,23 @@ skipped() {
     *) sed -nE 's/^skipped: (.*)/\1/p' "$logs/$1.log" ;;
   esac
 }
+
+# Names of the tests that failed, each with the first line of its reason where the runner says it.
+failures() {
+  local log=$logs/$1.log
+  case $1 in
+    lint) grep -E '(error|Error|FAILED)' "$log" | head -n 5 ;;
+    ctest) sed -nE 's/^[[:space:]]*[0-9]+ - (.*) \((Failed|Timeout|SEGFAULT|Not Run|.*Abort.*|.*xception.*)\).*/\1: \2/p' "$log" ;;
+    pytest) grep -E '^(FAILED|ERROR) ' "$log" ;;
+    *)
+      plain "$log" | awk '/^ *FAIL / { name = $0; next } name != "" && NF { print name ": " $0; name = "" }
+        /^page of the test that failed: / { print }'
+      ;;
+  esac | cut -c 1-400 | sort -u | head -n 20
+}
+
+# Only the page's tests run again, once: they share two cores with a browser that draws in software.
+passed_again() { plain "$logs/$1.log" | grep -E '^ *✓ .*\(retry x[0-9]+\)' | sed -E 's/^ *✓ *//'; }
 
 suites=("$@")
 ((${#suites[@]} > 0)) || suites=(lint ctest pytest vitest e2e)
@@ -76,5 +97,9 @@ for suite in "${suites[@]}"; do
 done
 for suite in "${suites[@]}"; do
   skipped "$suite" | sed "s/^/skipped ($suite): /"
+done
+for suite in "${suites[@]}"; do
+  passed_again "$suite" | sed "s/^/passed only when run again ($suite): /"
+  if ((status[$suite] != 0)); then failures "$suite" | sed "s/^/FAILED ($suite): /"; fi
 done
 exit "$failed"

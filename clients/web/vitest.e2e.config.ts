@@ -29,6 +29,8 @@ export default defineConfig({
     testTimeout: 120_000,
     hookTimeout: 120_000,
     expect: { poll: { timeout: 60_000 } },
+    // tests/run.sh names each test that passed only at its second attempt.
+    retry: 2,
     // One daemon and one software renderer already use two cores.
     fileParallelism: false,
   },

@@ -2,7 +2,7 @@
 import type { PNG } from "pngjs";
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 
-import { Browser, Stack, difference, missing, type ViewerPage } from "./harness";
+import { Browser, Stack, difference, missing } from "./harness";
 
 const absent = missing();
 if (absent.length > 0) {
@@ -21,22 +21,22 @@ describe.skipIf(absent.length > 0)("bodies", () => {
   const browser = new Browser();
   let stack: Stack;
   let url: string;
-  let viewer: ViewerPage | null = null;
 
-  const open = async (parameters: string) => {
-    viewer = await browser.open(`${url}&quality=low&${parameters}`);
-    return viewer;
-  };
+  const open = (parameters: string) => browser.open(`${url}&quality=low&${parameters}`);
 
   beforeAll(async () => {
     ({ stack, url } = await Stack.start());
   });
 
-  afterEach(async () => {
+  afterEach(async ({ task }) => {
+    const failed = task.result?.state === "fail";
+    const errors = await browser.closePages(failed);
+    // What a test that failed has left would make those after it fail, too.
+    if (failed) {
+      await stack.ask("unload_all", {});
+    }
     // An exception in the page fails the test, whatever the page shows.
-    expect(viewer?.errors ?? []).toEqual([]);
-    await viewer?.close();
-    viewer = null;
+    expect(errors).toEqual([]);
   });
 
   afterAll(async () => {

@@ -109,6 +109,7 @@ export class RecordingView {
 /** A new Chromium that draws in software. */
 export class Browser {
   readonly #profile = mkdtempSync(join(tmpdir(), "tensormass-chromium-"));
+  readonly #pages: ViewerPage[] = [];
   #context: BrowserContext | null = null;
 
   /** @param turnMs Time between two turns of the drawing loop by the page's clock; null: as they come. */
@@ -133,11 +134,28 @@ export class Browser {
     this.#context.setDefaultTimeout(0);
     const page = await this.#context.newPage();
     const viewer = new ViewerPage(page);
+    this.#pages.push(viewer);
     if (turnMs !== null) {
       await page.addInitScript(setTurns, turnMs);
     }
     await page.goto(url);
     return viewer;
+  }
+
+  /**
+   * Ends a test: closes all pages with what they remember. Returns the errors that their scripts threw.
+   * @param failed Whether the test failed. Then what the pages say goes to the log: a wait that never ends has no reason.
+   */
+  async closePages(failed: boolean): Promise<string[]> {
+    const pages = this.#pages.splice(0);
+    for (const viewer of pages.filter(({ page }) => !page.isClosed())) {
+      if (failed) {
+        console.warn(`page of the test that failed: ${await viewer.sayings()}`);
+      }
+      await viewer.page.evaluate(() => window.localStorage.clear());
+      await viewer.page.close();
+    }
+    return pages.flatMap(({ errors }) => errors);
   }
 
   async close(): Promise<void> {
@@ -249,6 +267,16 @@ export class ViewerPage {
 
   async says(selector: string, text: RegExp): Promise<void> {
     await this.page.locator(selector).filter({ hasText: text, visible: true }).waitFor();
+  }
+
+  /** Everything that the page says, in one line. */
+  async sayings(): Promise<string> {
+    const said = await this.page.evaluate(() => ({
+      text: document.body.innerText.replaceAll(/\s+/g, " ").slice(0, 300),
+      quality: document.documentElement.dataset.quality,
+      state: window.tensormass?.state(),
+    }));
+    return JSON.stringify(said);
   }
 
   /** The picture without the readings. */

@@ -17,23 +17,17 @@ describe.skipIf(absent.length > 0)("quality", () => {
   let stack: Stack;
   let url: string;
   let vertexCount: number;
-  let viewer: ViewerPage | null = null;
 
-  const open = async (turnMs: number, parameters = "") => {
-    viewer = await browser.open(`${url}&scene=cube${parameters}`, turnMs);
-    return viewer;
-  };
+  const open = (turnMs: number, parameters = "") => browser.open(`${url}&scene=cube${parameters}`, turnMs);
 
   beforeAll(async () => {
     ({ stack, url } = await Stack.start());
     vertexCount = (await stack.ask("load_grid", { name: "cube", cells: 12 })) as number;
   });
 
-  afterEach(async () => {
-    expect(viewer?.errors ?? []).toEqual([]);
-    await viewer?.page.evaluate(() => window.localStorage.clear());
-    await viewer?.close();
-    viewer = null;
+  afterEach(async ({ task }) => {
+    const errors = await browser.closePages(task.result?.state === "fail");
+    expect(errors).toEqual([]);
   });
 
   afterAll(async () => {

@@ -42,10 +42,9 @@ describe.skipIf(absent.length > 0)("recording", () => {
   const folder = mkdtempSync(join(tmpdir(), "tensormass-recording-"));
   let recording: string;
   let view: RecordingView | null = null;
-  let viewer: ViewerPage | null = null;
 
   const open = async (address: string) => {
-    viewer = await browser.open(`${address}&quality=low`);
+    const viewer = await browser.open(`${address}&quality=low`);
     await viewer.page.waitForFunction(() => window.tensormass.state().drawn > 0);
     return viewer;
   };
@@ -65,11 +64,11 @@ describe.skipIf(absent.length > 0)("recording", () => {
     recording = await record(SCENE, folder, SECONDS);
   });
 
-  afterEach(async () => {
-    expect(viewer?.errors ?? []).toEqual([]);
-    await viewer?.close();
+  afterEach(async ({ task }) => {
+    const errors = await browser.closePages(task.result?.state === "fail");
     await view?.stop();
-    viewer = view = null;
+    view = null;
+    expect(errors).toEqual([]);
   });
 
   afterAll(async () => {

@@ -3,7 +3,7 @@ import { stat } from "node:fs/promises";
 
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 
-import { Browser, Stack, difference, missing, type ViewerPage } from "./harness";
+import { Browser, Stack, difference, missing } from "./harness";
 
 const absent = missing();
 if (absent.length > 0) {
@@ -25,29 +25,22 @@ describe.skipIf(absent.length > 0)("viewer", () => {
   let stack: Stack;
   let url: string;
   let lookUrl: string;
-  let viewer: ViewerPage | null = null;
 
-  const open = async (parameters: string) => {
-    viewer = await browser.open(`${url}&quality=low&${parameters}`);
-    return viewer;
-  };
+  const open = (parameters: string) => browser.open(`${url}&quality=low&${parameters}`);
 
   beforeAll(async () => {
     ({ stack, url, lookUrl } = await Stack.start());
   });
 
-  afterEach(async () => {
-    // An exception in the page fails the test, whatever the page shows.
-    expect(viewer?.errors ?? []).toEqual([]);
-    await viewer?.close();
-    viewer = null;
-  });
-
   afterEach(async ({ task }) => {
+    const failed = task.result?.state === "fail";
+    const errors = await browser.closePages(failed);
     // What a test that failed has left would make those after it fail, too.
-    if (task.result?.state === "fail") {
+    if (failed) {
       await stack.ask("unload_all", {});
     }
+    // An exception in the page fails the test, whatever the page shows.
+    expect(errors).toEqual([]);
   });
 
   afterAll(async () => {
@@ -168,7 +161,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
   it("says that a token is wrong", async () => {
     const wrong = new URL(url);
     wrong.searchParams.set("token", "another");
-    viewer = await browser.open(wrong.href);
+    const viewer = await browser.open(wrong.href);
     await viewer.says("#notice", /Not let in.*the token is missing or wrong/s);
     await viewer.says("#link", /Refused/);
   });
@@ -176,7 +169,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
   it("says that its origin is refused", async () => {
     const named = new URL(url);
     named.hostname = "viewer.localhost"; // resolves without DNS and is not one of the gateway's names
-    viewer = await browser.open(named.href);
+    const viewer = await browser.open(named.href);
     await viewer.says("#notice", /Origin http:\/\/viewer\.localhost:\d+ is not let in; allow it with --origin/);
   });
 
@@ -185,7 +178,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     for (const other of others) {
       await other.says("#link", /No scene/);
     }
-    viewer = await browser.open(url);
+    const viewer = await browser.open(url);
     await viewer.says("#notice", /2 browsers are connected/);
     await others[0]!.close();
     await viewer.says("#link", /No scene/);
@@ -349,7 +342,6 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await page.page.reload();
     await page.says(".legend-title", /^Von Mises stress$/);
     expect(await page.page.locator("#clip-axis").inputValue()).toBe("x");
-    await page.page.evaluate(() => window.localStorage.clear());
 
     await page.page.keyboard.press("Escape");
     await page.page.locator("#scenes > summary").click();
@@ -376,7 +368,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
 
   it("disables the controls, with a reason, for who only looks", async () => {
     await stack.ask("load_grid", { name: "cube", cells: 2, turned_tool: true });
-    viewer = await browser.open(`${lookUrl}&quality=low&scene=cube`);
+    const viewer = await browser.open(`${lookUrl}&quality=low&scene=cube`);
     await viewer.says("#link", /Live/);
     for (const id of ["pause", "step", "restart", "load", "unload"]) {
       const button = viewer.page.locator(`#${id}`);
