@@ -86,6 +86,10 @@ ControlServer::~ControlServer() {
 
 const std::string& ControlServer::endpoint() const { return parts_->doorkeeper->endpoint(); }
 
+void ControlServer::set_health(const std::string& name, bool serving) {
+  parts_->server->GetHealthCheckService()->SetServingStatus(name, serving);
+}
+
 void ControlServer::announce_shutdown() { parts_->server->GetHealthCheckService()->Shutdown(); }
 
 }  // namespace tensormass::control

@@ -45,7 +45,11 @@ class ControlServer {
 
   /// HOST:PORT that clients connect to, with the port that was chosen.
   const std::string& endpoint() const;
-  /// Makes the health service answer NOT_SERVING, so that load balancers send no new work here. Calls still work.
+  /// Says what the health service answers for a name: SERVING, or NOT_SERVING. Without a call for it, "" is SERVING and
+  /// every other name is unknown.
+  void set_health(const std::string& name, bool serving);
+  /// Makes the health service answer NOT_SERVING for every name, so that load balancers send no new work here. Calls
+  /// still work.
   void announce_shutdown();
 
  private:

@@ -54,11 +54,25 @@ SceneRegistry::SceneRegistry(const world::RunnerOptions& options, std::function<
     : options_(options), output_signal_(std::move(output_signal)), admission_(admission, used_bytes) {}
 
 Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene, const model::Progress& progress) {
+  if (follower_ == nullptr) return load(scene, progress, [](const RunnerPtr&) {});
+  RunnerPtr followed;
+  auto loaded = load(scene, progress, [&](const RunnerPtr& runner) {
+    follower_->follow(runner);
+    followed = runner;
+  });
+  // The registry closed meanwhile, and the client is told that its scene is not loaded.
+  if (!loaded && followed) follower_->forget(followed->name());
+  return loaded;
+}
+
+Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene, const model::Progress& progress,
+                                      const std::function<void(const RunnerPtr&)>& prepare) {
   TM_ASSIGN_OR_RETURN(reservation, Reservation::take(*this, scene.name()));
   const auto promise = admission_.admit(scene);
   if (!promise) return tl::make_unexpected(promise.error());
   TM_ASSIGN_OR_RETURN(started, world::Runner::start(scene, options_, progress));
   const RunnerPtr runner = std::move(started);
+  prepare(runner);
   runner->set_output_signal(output_signal_);
   TM_RETURN_IF_ERROR(reservation.fill(runner));
   changed();
@@ -80,13 +94,15 @@ Result<void> SceneRegistry::unload(std::string_view name) {
     const auto found = scenes_.find(name);
     if (found == scenes_.end()) return fail(ErrorCode::kNotFound, fmt::format("no scene '{}' is loaded", name));
     if (found->second == nullptr) {
-      return fail(ErrorCode::kFailedPrecondition, fmt::format("scene '{}' is still being loaded", name));
+      return fail(ErrorCode::kFailedPrecondition, fmt::format("scene '{}' is being loaded or unloaded", name));
     }
-    ended = std::move(found->second);
-    scenes_.erase(found);
+    ended = std::exchange(found->second, nullptr);  // reserves the name
   }
   ended->cancel();
-  changed();
+  changed();  // before files are removed: hands must not wait for a disk
+  if (follower_ != nullptr) follower_->forget(ended->name());
+  const std::lock_guard lock(mutex_);
+  scenes_.erase(ended->name());
   return {};
 }
 

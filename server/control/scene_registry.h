@@ -21,6 +21,19 @@ namespace tensormass::control {
 /// ends the scene's loop and waits for it, up to one step.
 using RunnerPtr = std::shared_ptr<world::Runner>;
 
+/// Is told which scenes a daemon has, before the calls that load and unload them answer.
+///
+/// While it is told, the name of the scene is reserved: nobody can load another one under it. Calls for several scenes
+/// come at the same time, on the threads of those who load and unload.
+class SceneFollower {
+ public:
+  virtual ~SceneFollower() = default;
+  /// The scene steps and nobody sees it yet.
+  virtual void follow(const RunnerPtr& runner) = 0;
+  /// Nobody sees the scene any more. `SceneRegistry::close` does not tell it.
+  virtual void forget(const std::string& name) = 0;
+};
+
 /// The loaded scenes of a daemon, by name. All methods may be called from any thread.
 ///
 ///     gRPC threads       load ─ reserve name ─ compile, seconds, no lock held ─ fill ─> generation + 1, output_signal
@@ -37,7 +50,7 @@ using RunnerPtr = std::shared_ptr<world::Runner>;
 ///     absent ── load ──> reserved (null) ── compiled ──> loaded (runner) ── unload, close ──> absent
 ///                             └── compilation failed or was cancelled, or the registry closed ──> absent
 ///
-/// `find` and `list` do not show a reserved name. `load` refuses it with kAlreadyExists, `unload` with
+/// An unload reserves the name too while the follower is told. `find` and `list` do not show a reserved name. `load` refuses it with kAlreadyExists, `unload` with
 /// kFailedPrecondition.
 class SceneRegistry {
  public:
@@ -47,11 +60,18 @@ class SceneRegistry {
   SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal,
                 const AdmissionLimits& admission = {}, double (*used_bytes)() = &Admission::resident_bytes);
 
+  /// follower: outlives every call. Set it before the first load.
+  void set_follower(SceneFollower* follower) { follower_ = follower; }
+
   /// Compiles the scene and starts its loop; returns when it runs, after seconds for a large mesh. Fails with
   /// kAlreadyExists for a name in use, kResourceExhausted beyond limits::kMaxScenes or the admission's limits,
   /// kUnavailable after `close`,
   /// kCancelled if `progress` ends it, and with the errors of world::Runner::start.
   Result<RunnerPtr> load(const v1::Scene& scene, const model::Progress& progress = {});
+  /// The same for a scene that comes back. The follower is not told, and `prepare` is called instead.
+  /// prepare: called with the running scene before anybody sees it
+  Result<RunnerPtr> load(const v1::Scene& scene, const model::Progress& progress,
+                         const std::function<void(const RunnerPtr&)>& prepare);
   /// Checks and compiles the scene without running it. It needs no name in the registry.
   Result<v1::SceneReport> inspect(const v1::Scene& scene, const model::Progress& progress = {}) {
     const auto promise = admission_.admit(scene);
@@ -81,6 +101,7 @@ class SceneRegistry {
 
   const world::RunnerOptions options_;
   const std::function<void()> output_signal_;
+  SceneFollower* follower_ = nullptr;  // nullptr: nobody is told
   Admission admission_;
   std::atomic<std::uint64_t> generation_{0};
   mutable std::shared_mutex mutex_;

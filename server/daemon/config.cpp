@@ -175,6 +175,11 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   app.add_option(
       "--keys", config.keys,
       "Folder of `tensormass keys init`: who may connect, and do what. Needed where other machines can connect");
+  app.add_option("--state", config.state,
+                 "Folder in which scenes and their newest snapshots are kept. A daemon that starts with it brings them "
+                 "back");
+  app.add_option("--max-state-mib", config.max_state_mib, "Disk that --state may take; more is not written")
+      ->check(CLI::Range(std::uint64_t{1}, kMostMib));
   app.add_option("--log-level", log_level, "Lowest level that is logged")
       ->check(CLI::IsMember({"debug", "info", "warning", "error"}));
   app.add_option("--log-format", log_format, "json: one object a line")->check(CLI::IsMember({"text", "json"}));

@@ -6,6 +6,7 @@
 #include "core/bus_limits.h"
 #include "core/log.h"
 #include "core/result.h"
+#include "core/state_limits.h"
 #include "world/runner.h"
 
 namespace tensormass::daemon {
@@ -34,6 +35,9 @@ struct Config {
   std::string keys;
   spdlog::level::level_enum log_level = spdlog::level::info;
   log::Format log_format = log::Format::kText;
+  /// Folder in which scenes and their snapshots are kept (state_store.h). Empty: nothing is kept.
+  std::string state;
+  std::uint64_t max_state_mib = limits::kDefaultStateMib;
   /// Path of the ready file (daemon.h). Empty: no file is written.
   std::string ready_file;
   /// True: print the effective settings and exit.

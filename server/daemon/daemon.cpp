@@ -11,6 +11,8 @@
 
 #include <fmt/format.h>
 
+#include "core/state_limits.h"
+
 namespace tensormass::daemon {
 namespace {
 
@@ -18,11 +20,11 @@ constexpr double kMib = 1 << 20;
 
 }  // namespace
 
-Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config) {
+Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config, const Process& process) {
   if (std::string refusal = check_keys(config); !refusal.empty()) return invalid(std::move(refusal));
   TM_ASSIGN_OR_RETURN(backend, world::describe_backend(config.backend));
   std::unique_ptr<Daemon> daemon(new Daemon(config, backend));
-  TM_RETURN_IF_ERROR(daemon->open(config));
+  TM_RETURN_IF_ERROR(daemon->open(config, process));
   const v1::GetVersionResponse& identity = daemon->identity();
   if (config.backend == world::BackendChoice::kAuto && backend.backend == "cpu") {
     log::warn("no GPU answers: scenes run on the CPU", {{"device", backend.device}, {"reason", backend.reason}});
@@ -52,7 +54,12 @@ Daemon::Daemon(const Config& config, const world::BackendDescription& backend)
   identity_.set_backend_reason(backend.reason);
 }
 
-Result<void> Daemon::open(const Config& config) {
+Result<void> Daemon::open(const Config& config, const Process& process) {
+  if (!config.state.empty()) {
+    TM_ASSIGN_OR_RETURN(store, StateStore::open(config.state, TENSORMASS_VERSION, config.max_state_mib << 20));
+    keeper_ = std::make_unique<StateKeeper>(std::move(store));
+    registry_.set_follower(keeper_.get());
+  }
   if (!config.keys.empty()) {
     TM_ASSIGN_OR_RETURN(keys, access::KeyRing::open(config.keys));
     keys_ = std::move(keys);
@@ -78,6 +85,8 @@ Result<void> Daemon::open(const Config& config) {
   identity_.set_zenoh_locator(bus_->endpoints().zenoh_locator);
 
   publisher_.emplace(registry_, *bus_, config.server_name, wake_up_);
+  // Before the control endpoint answers: who asks for a scene that is coming back must not hear that there is none.
+  if (keeper_) keeper_->bring_back(registry_, process.stop_asked);
   const auto on_refused = [this](std::string_view why) {
     ++refused_connections_;
     note_malformed({}, fmt::format("{}, on the control endpoint; its connection was closed", why));
@@ -87,16 +96,32 @@ Result<void> Daemon::open(const Config& config) {
                   config.control, registry_, identity_, [this] { return malformed_count(); }, on_refused, keys_.get()));
   server_ = std::move(server);
   if (keys_) keys_->follow([this] { return bus_->keys_changed(); });
+  server_->set_health("ready", true);
+  vitals_.emplace(Vitals::Watched{.manager = process.manager,
+                                  .scenes = [this] { return registry_.list(); },
+                                  .publisher_turns = [this] { return publisher_->turns(limits::kTurnTime); },
+                                  .on_live = [this](bool live) { server_->set_health("live", live); },
+                                  .on_device_lost =
+                                      [end = process.on_device_lost](const std::string& scene) {
+                                        log::error("the process lost its device",
+                                                   {{"scene", scene},
+                                                    {"reason", "after this CUDA error no call of CUDA works"},
+                                                    {"then", "the daemon ends, for another one to start"}});
+                                        end();
+                                      }});
   return {};
 }
 
 Daemon::~Daemon() {
+  vitals_.reset();
   if (server_ != nullptr) server_->announce_shutdown();
+  if (keeper_) keeper_->take_last(limits::kLastStateTime);
   std::vector<control::RunnerPtr> ending = registry_.close();
   publisher_.reset();
   if (keys_) keys_->stop();
   server_.reset();
   ending.clear();
+  keeper_.reset();
   bus_.reset();
 }
 

@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 
@@ -12,6 +13,9 @@
 #include "core/log.h"
 #include "daemon/config.h"
 #include "daemon/publisher.h"
+#include "daemon/service_manager.h"
+#include "daemon/state_keeper.h"
+#include "daemon/vitals.h"
 #include "tensormass/v1/control.pb.h"
 
 namespace tensormass::daemon {
@@ -25,6 +29,8 @@ namespace tensormass::daemon {
 ///     loop, one per scene     steps, writes mailboxes (world/loop.h)       its clock
 ///     key ring                who has a key (access/key_ring.h)            its clock, and a zenoh session that opens
 ///     publisher               mailboxes -> bus (publisher.h)               the loops' signal
+///     keeper, one per scene   snapshots -> files (state_keeper.h)          its clock, the scene's loop, the disk
+///     vitals                  whether all of them turn (vitals.h)          its clock
 ///     ZeroMQ's receiver       poses -> receive_pose                        its sockets
 ///     zenoh's threads         poses -> receive_pose                        their sockets
 ///
@@ -35,16 +41,27 @@ namespace tensormass::daemon {
 /// are counted, and logged at a limited rate.
 class Daemon {
  public:
-  /// Opens every endpoint of `config`; the daemon serves when it returns. Fails if an endpoint cannot be listened on or
-  /// the device does not answer, and names it.
-  static Result<std::unique_ptr<Daemon>> start(const Config& config);
+  /// What the daemon needs of the process around it.
+  struct Process {
+    const ServiceManager& manager;
+    /// Returns true if a signal to end waits. Scenes that come back take long.
+    std::function<bool()> stop_asked;
+    /// Called once, on a thread of the daemon, if the process lost its device: it must end, and another one start.
+    std::function<void()> on_device_lost;
+  };
+
+  /// Opens every endpoint of `config` and brings back the scenes of `--state`. The daemon serves when it returns. Fails
+  /// if an endpoint cannot be listened on, the device does not answer or the folder cannot be used, and names it.
+  static Result<std::unique_ptr<Daemon>> start(const Config& config, const Process& process);
   /// Ends the daemon in this order:
-  /// 1. The health service answers NOT_SERVING. The registry refuses loads and cancels running steps.
+  /// 1. The health service answers NOT_SERVING. Last states of the scenes are taken, in limits::kLastStateTime at most.
+  ///    The registry refuses loads and cancels running steps.
   /// 2. The publisher sends zero forces and stops: hands are released before anything that may take long.
   /// 3. The key ring stops, after a session of zenoh that it may be opening.
   /// 4. The gRPC server lets running calls end, then cancels them.
   /// 5. The loops of the scenes are joined, which takes up to a step each.
-  /// 6. The transports send what is queued and close.
+  /// 6. The last states are written.
+  /// 7. The transports send what is queued and close.
   ~Daemon();
 
   /// The answer of GetVersion, except for its count of malformed messages.
@@ -54,7 +71,7 @@ class Daemon {
 
  private:
   Daemon(const Config& config, const world::BackendDescription& backend);
-  Result<void> open(const Config& config);
+  Result<void> open(const Config& config, const Process& process);
   /// Gives a pose to its scene. Runs on transports' threads and does not block.
   void receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose);
   /// Logs a malformed message and counts it in the status of its scene. `scene` may be empty. Runs on the threads of
@@ -69,10 +86,12 @@ class Daemon {
   log::Limiter malformed_messages_;
   std::atomic<std::uint64_t> refused_connections_{0};
   control::SceneRegistry registry_;
+  std::unique_ptr<StateKeeper> keeper_;    // nullptr: nothing is kept
   std::unique_ptr<access::KeyRing> keys_;  // nullptr: nobody is asked who it is
   std::unique_ptr<bus::Bus> bus_;
   std::optional<Publisher> publisher_;
   std::unique_ptr<control::ControlServer> server_;
+  std::optional<Vitals> vitals_;
 };
 
 /// A JSON file with the daemon's endpoints, for launchers that wait until it appears.

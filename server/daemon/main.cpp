@@ -1,3 +1,6 @@
+#include <unistd.h>
+
+#include <atomic>
 #include <chrono>
 #include <csignal>
 #include <cstdio>
@@ -13,6 +16,10 @@ namespace {
 
 /// Longest time from the signal to the exit. Forces are zero long before. A longer step is cut off.
 constexpr std::chrono::milliseconds kShutdownTime{1500};
+
+/// Status after a CUDA error that ends the device's use for the process: EX_TEMPFAIL of sysexits.h. A service manager
+/// starts the daemon again, and another process has a device that works.
+constexpr int kDeviceLostStatus = 75;
 
 /// The signals that end the daemon.
 sigset_t stop_signals() {
@@ -39,8 +46,20 @@ int main(int argc, char** argv) {
   const sigset_t signals = stop_signals();
   pthread_sigmask(SIG_BLOCK, &signals, nullptr);
   std::signal(SIGPIPE, SIG_IGN);
+  std::signal(SIGXFSZ, SIG_IGN);  // a file of --state beyond a limit of the system is an error of that file
 
-  auto started = daemon::Daemon::start(parsed.config);
+  const daemon::ServiceManager manager;
+  static std::atomic<int> exit_status{EXIT_SUCCESS};
+  const auto stop_asked = [] {
+    sigset_t waiting;
+    sigpending(&waiting);
+    return sigismember(&waiting, SIGTERM) == 1 || sigismember(&waiting, SIGINT) == 1;
+  };
+  const auto on_device_lost = [] {
+    exit_status = kDeviceLostStatus;
+    kill(getpid(), SIGTERM);
+  };
+  auto started = daemon::Daemon::start(parsed.config, {manager, stop_asked, on_device_lost});
   if (!started) {
     log::error("cannot start", {{"reason", started.error().message}});
     return EXIT_FAILURE;
@@ -55,18 +74,21 @@ int main(int argc, char** argv) {
     ready_file.emplace(std::move(*written));
   }
 
+  manager.tell("READY=1");
+
   int signal = 0;
   sigwait(&signals, &signal);
+  manager.tell("STOPPING=1");
   log::info("stopping", {{"signal", signal == SIGTERM ? "SIGTERM" : "SIGINT"}});
   ready_file.reset();
   std::thread([] {
     std::this_thread::sleep_for(kShutdownTime);
     log::warn("stopped without waiting for a step, a load or a client that takes longer");
-    std::_Exit(EXIT_SUCCESS);
+    std::_Exit(exit_status);
   }).detach();
   started->reset();
   log::info("stopped");
   // Skips static destructors, because the thread above may still run.
   std::fflush(nullptr);
-  std::_Exit(EXIT_SUCCESS);
+  std::_Exit(exit_status);
 }

@@ -67,6 +67,7 @@ Publisher::~Publisher() {
 void Publisher::run() {
   while (true) {
     const bool last = stop_;
+    turned_.store(now(), std::memory_order_relaxed);
     try {
       follow_registry();
       if (!last) publish_news();

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -67,6 +68,11 @@ class Publisher {
   /// Ends the scenes that are no longer in the registry, as above, then joins the thread.
   ~Publisher();
 
+  /// Returns false if the thread has not turned for `late`. Any thread may call it.
+  bool turns(std::chrono::nanoseconds late) const {
+    return now() - turned_.load(std::memory_order_relaxed) < std::chrono::steady_clock::duration(late).count();
+  }
+
  private:
   struct Scene {
     explicit Scene(const control::RunnerPtr& started) : runner(started), id(started.get()) {}
@@ -80,6 +86,8 @@ class Publisher {
     bool stopped = false;          // a fault was logged
     std::set<std::string> found;   // findings about results that were logged and last
   };
+
+  static std::chrono::steady_clock::rep now() { return std::chrono::steady_clock::now().time_since_epoch().count(); }
 
   void run();
   /// Publishes what the mailboxes have, feedback first.
@@ -105,6 +113,7 @@ class Publisher {
   v1::Frame frame_;
   v1::SceneStatus status_;
   std::atomic<bool> stop_{false};
+  std::atomic<std::chrono::steady_clock::rep> turned_{now()};
   std::thread thread_;
 };
 

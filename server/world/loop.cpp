@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "core/names.h"
+#include "world/device_loss.h"
 
 namespace tensormass::world {
 
@@ -95,10 +96,13 @@ bool Loop::wait_for_turn() {
   std::unique_lock lock(mutex_);
   const auto called = [&] { return quit_ || !commands_.empty(); };
   if (runs()) {
+    promise_turn(clock_.begin());
     wake_.wait_until(lock, clock_.begin(), called);
   } else {
+    due_by_.store(kNotDue, std::memory_order_relaxed);
     wake_.wait(lock, called);
   }
+  promise_turn(Clock::now());
   return !quit_;
 }
 
@@ -159,6 +163,7 @@ bool Loop::step_once(bool with_frame, Diagnostics diagnostics) {
 /// Makes one step and publishes its results. Returns false if the scene stopped: state() is STATE_FAULTED then.
 bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
   const Clock::time_point began = Clock::now();
+  promise_turn(began);
   const std::uint64_t step = world_->step_count() + 1;
   const std::uint32_t cg_limit = world_->cg_limit();
   bool good = false, diagnosed = false;
@@ -215,6 +220,7 @@ void Loop::stop_with_fault(std::string reason) {
 /// Stops this scene after its device failed; other scenes go on. Its state on the device cannot be trusted any more.
 void Loop::stop_for_device(const std::exception& failure) {
   device_failed_ = true;
+  if (loses_device(failure.what())) status_.take_device_loss();
   std::string reason = "device failed";  // short enough to need no memory
   try {
     reason = fmt::format("the device failed in step {}: {}. Unload the scene and load it again",

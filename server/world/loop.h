@@ -1,11 +1,13 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
 #include <functional>
 #include <future>
+#include <limits>
 #include <memory>
 #include <mutex>
 #include <new>
@@ -90,6 +92,11 @@ class Loop {
   /// Goes on from what another loop of the same scene knows of clients that send poses.
   void know_clients_of(Loop& other);
   void count_malformed_pose() { status_.count_malformed_pose(); }
+  /// Returns false if the loop should have turned at least `late` ago: a step or a command hangs. A loop that waits for
+  /// a command, or for a step that is not due, is well.
+  bool turns(Clock::time_point now, Clock::duration late) const {
+    return now.time_since_epoch().count() - due_by_.load(std::memory_order_relaxed) < late.count();
+  }
   /// Ends the step at hand and a `do_step` in progress, because nobody will see the scene again.
   void cancel() {
     cancelled_.store(true, std::memory_order_relaxed);
@@ -128,6 +135,13 @@ class Loop {
   /// Makes recorded steps; see ReplayScene.
   Result<v1::ReplaySceneResponse> do_replay(const Replay& replay);
   Result<LoopState> do_save();
+  struct Kept {
+    LoopState state;
+    bool paused = false;
+    std::chrono::nanoseconds held{};  ///< time for which the loop could not step
+  };
+  /// As `do_save`, but refuses a loop that was cancelled: its last step may have ended midway.
+  Result<Kept> do_keep();
   Result<v1::SceneStatus> do_restore(const LoopState& state);
 
   struct HandedOver {
@@ -141,8 +155,14 @@ class Loop {
 
  private:
   using State = LoopStatus::State;
+  /// Half of the range: a difference of two times must not overflow.
+  static constexpr Clock::rep kNotDue = std::numeric_limits<Clock::rep>::max() / 2;
 
   void run();
+  /// Says until when the loop may be silent; see `turns`.
+  void promise_turn(Clock::time_point due_by) {
+    due_by_.store(due_by.time_since_epoch().count(), std::memory_order_relaxed);
+  }
   bool runs() const;
   bool wait_for_turn();
   void run_commands();
@@ -182,6 +202,7 @@ class Loop {
   std::deque<std::function<void()>> commands_;  // guarded by mutex_
   bool quit_ = false;                           // guarded by mutex_
   std::atomic<bool> cancelled_{false};
+  std::atomic<Clock::rep> due_by_{kNotDue};
 
   // The loop's own.
   StepClock clock_;

@@ -86,6 +86,13 @@ Result<LoopState> Loop::do_save() {
   return LoopState{world_->save(), next_diagnostics_};
 }
 
+Result<Loop::Kept> Loop::do_keep() {
+  const Clock::time_point begin = Clock::now();
+  if (cancelled_.load(std::memory_order_relaxed)) return unload_error("its state was not kept");
+  TM_ASSIGN_OR_RETURN(state, do_save());
+  return Kept{std::move(state), status_.state() == v1::SceneStatus::STATE_PAUSED, Clock::now() - begin};
+}
+
 void Loop::drop_abandoned_recording() {
   if (!recording_ || !recording_->abandoned()) return;
   recording_->evict();

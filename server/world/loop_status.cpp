@@ -58,6 +58,7 @@ void LoopStatus::clear() {
 void LoopStatus::take_stamp(const StepStamp& stamp) {
   step_count_.store(stamp.step, std::memory_order_relaxed);
   simulated_time_s_.store(stamp.simulated_time_s, std::memory_order_relaxed);
+  changes_.fetch_add(1, std::memory_order_relaxed);
 }
 
 Result<void> LoopStatus::require_not_faulted() const {

@@ -48,8 +48,10 @@ class LoopStatus {
   }
   /// Takes what World::diagnose found.
   void take_diagnostics(const World& world) { findings_.take_diagnostics(world); }
-  /// Step and simulated time of a step that was published.
+  /// Step and simulated time of a step that was published, or of a state that a reset or a snapshot brought.
   void take_stamp(const StepStamp& stamp);
+  /// The process can use its device no more (device_loss.h).
+  void take_device_loss() { device_lost_.store(true, std::memory_order_relaxed); }
   /// in_time: the step met its deadline.
   void take_time(Clock::time_point begin, Clock::time_point end, bool in_time) {
     statistics_->add(end - begin, end, in_time);
@@ -59,6 +61,9 @@ class LoopStatus {
 
   State state() const { return state_.load(); }
   const std::shared_ptr<StepStatistics>& statistics() const { return statistics_; }
+  /// A number that differs after each change of the scene's state.
+  std::uint64_t changes() const { return changes_.load(std::memory_order_relaxed); }
+  bool device_lost() const { return device_lost_.load(std::memory_order_relaxed); }
   /// An error that says why the scene stopped, if it did.
   Result<void> require_not_faulted() const;
   void count_malformed_pose() { malformed_poses_.fetch_add(1, std::memory_order_relaxed); }
@@ -76,8 +81,8 @@ class LoopStatus {
   const LoopOutputs& outputs_;
 
   std::atomic<State> state_;
-  std::atomic<bool> due_{true};
-  std::atomic<std::uint64_t> step_count_{0}, malformed_poses_{0};
+  std::atomic<bool> due_{true}, device_lost_{false};
+  std::atomic<std::uint64_t> step_count_{0}, malformed_poses_{0}, changes_{0};
   std::atomic<double> simulated_time_s_{0};
   const std::shared_ptr<StepStatistics> statistics_;
   Findings findings_;

@@ -1,5 +1,6 @@
 #include "world/runner.h"
 
+#include <atomic>
 #include <map>
 #include <mutex>
 #include <shared_mutex>
@@ -92,6 +93,7 @@ struct Runner::Impl {
 
   std::mutex adjusting;  // one `adjust` at a time; guards adjustments
   v1::SceneAdjustments adjustments;
+  std::atomic<std::uint64_t> adjustment{0};  // counts the loops that were replaced
 
   std::shared_mutex commands;  // exclusive while a loop is replaced; guards scene_hash and signal
   std::uint64_t scene_hash;
@@ -212,6 +214,24 @@ Result<v1::SceneStatus> Runner::restore(std::string_view snapshot) {
   return loop->call([&] { return loop->do_restore(state); });
 }
 
+StateMark Runner::mark() const {
+  // The number of the adjustment comes first: a loop that replaces the present one after it has another mark.
+  const std::uint64_t adjustment = impl_->adjustment.load();
+  const std::shared_ptr<Loop> loop = impl_->loop();
+  return {adjustment, loop->status().changes(), loop->status().state()};
+}
+Result<KeptState> Runner::keep() {
+  // An adjustment may take as long as a load, and nothing of it is lost if the caller comes again.
+  const std::unique_lock adjusting(impl_->adjusting, std::try_to_lock);
+  if (!adjusting) return fail(ErrorCode::kUnavailable, fmt::format("scene '{}' is being adjusted", name()));
+  const Impl::HeldLoop loop(*impl_);
+  TM_ASSIGN_OR_RETURN(kept, loop->read([&] { return loop->do_keep(); }));
+  return KeptState{impl_->adjustments, kept.paused, write_snapshot(loop->model(), impl_->scene_hash, kept.state),
+                   kept.held};
+}
+bool Runner::turns(std::chrono::nanoseconds late) const { return impl_->loop()->turns(Clock::now(), late); }
+bool Runner::device_lost() const { return impl_->loop()->status().device_lost(); }
+
 const v1::Scene* Runner::source() const { return impl_->source ? &impl_->source->scene : nullptr; }
 
 Result<v1::AdjustSceneResponse> Runner::adjust(const v1::SceneAdjustments& changes) {
@@ -249,6 +269,7 @@ Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted) {
   const std::lock_guard swap(present_mutex);
   next->know_clients_of(*old);
   present = next;
+  ++adjustment;
   return {};
 }
 

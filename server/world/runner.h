@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -18,6 +19,21 @@
 namespace tensormass::world {
 
 struct CompiledScene;
+
+/// What a scene needs to come back in another process, together with the message it was loaded from.
+struct KeptState {
+  v1::SceneAdjustments adjustments;
+  bool paused = false;
+  std::string snapshot;             ///< as in SnapshotSceneResponse
+  std::chrono::nanoseconds held{};  ///< time for which the loop could not step
+};
+
+/// Identifies a state of a scene. Another one differs from it, also after an adjustment or a reset to the same step.
+struct StateMark {
+  std::uint64_t adjustment = 0, change = 0;
+  v1::SceneStatus::State state = v1::SceneStatus::STATE_UNSPECIFIED;
+  bool operator==(const StateMark&) const = default;
+};
 
 enum class BackendChoice { kAuto, kCpu, kCuda };
 
@@ -86,6 +102,14 @@ class Runner {
   /// The whole state between two steps (snapshot.h), and going on from it.
   Result<v1::SnapshotSceneResponse> snapshot();
   Result<v1::SceneStatus> restore(std::string_view snapshot);
+  /// Which state the scene is in. Costs next to nothing.
+  StateMark mark() const;
+  /// The state for another process. Fails with kUnavailable for a scene that is cancelled or being adjusted.
+  Result<KeptState> keep();
+  /// Returns false if the loop hangs: its turn was due at least `late` ago.
+  bool turns(std::chrono::nanoseconds late) const;
+  /// True after a failure with which this process lost its device (device_loss.h).
+  bool device_lost() const;
   /// The message that the scene was loaded from; nullptr if it was compiled already.
   const v1::Scene* source() const;
   /// Changes values of the scene and goes on from its state; see AdjustScene.

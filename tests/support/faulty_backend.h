@@ -21,6 +21,7 @@ enum class Fault {
   kStall,        ///< the linear solve did not converge
   kIndefinite,   ///< conjugate gradients met negative curvature
   kDeviceError,  ///< the device throws
+  kDeviceLost,   ///< the device throws, and no other call of this process will work
 };
 
 /// Returns the fault to inject into the `call`-th solve (from 0) that a world makes for its `step`-th step (from 1), or
@@ -61,6 +62,8 @@ class FaultyState final : public backend::SceneState {
         break;
       case Fault::kDeviceError:
         throw std::runtime_error("injected");
+      case Fault::kDeviceLost:
+        throw std::runtime_error("a kernel: an illegal memory access was encountered");
     }
     sound_->write(state);
     if (input.gather_visible) sound_->gather_visible();

@@ -90,16 +90,17 @@ class Connection(Closing):
         """Unwinds `work` after the connection is closed."""
         self._cleanup.push(work)
 
-    def call(self, method: str, request: Any, timeout_s: float | None = CALL_TIMEOUT_S) -> Any:  # noqa: ANN401
+    def call(self, method: str, request: Any, timeout_s: float | None = CALL_TIMEOUT_S, *, waits: bool = False) -> Any:  # noqa: ANN401
         """Makes one unary call. A failed call raises an exception of the SDK.
 
         Args:
             method: its name in control.proto.
             timeout_s: None waits as long as it takes.
+            waits: True waits for a daemon that does not answer yet, until the timeout.
         """
         if self._closed:
             raise errors.UnavailableError(f"this connection to {self.address} is closed; connect again")
         try:
-            return getattr(self._stub, method)(request, timeout=timeout_s)
+            return getattr(self._stub, method)(request, timeout=timeout_s, wait_for_ready=waits)
         except grpc.RpcError as error:
             raise errors.from_rpc_error(error) from error

@@ -222,7 +222,10 @@ class SceneHandle:
 
     def topology(self) -> stream_pb2.Topology:
         """Returns what does not change between frames: bodies, tools and triangles."""
-        reply = self._connection.call("GetTopology", control_pb2.GetTopologyRequest(scene=self.name))
+        return self._fetch_topology(waits=False)
+
+    def _fetch_topology(self, *, waits: bool) -> stream_pb2.Topology:
+        reply = self._connection.call("GetTopology", control_pb2.GetTopologyRequest(scene=self.name), waits=waits)
         self._topology = reply.topology
         return reply.topology
 
@@ -384,7 +387,8 @@ class SceneHandle:
             or topology.version != frame.topology_version
             or len(frame.positions) != frame_size_bytes(topology)
         ):
-            topology = self.topology()
+            # A daemon that was started again sends frames a moment before it answers calls.
+            topology = self._fetch_topology(waits=True)
         return Frame.from_message(frame, topology) if topology.version <= frame.topology_version else None
 
 
