@@ -20,6 +20,7 @@ CONTENTS = {
         "docs/findings",
         "docs/protocol",
         "docs/security",
+        "docs/operation",
     ],
     "Reference": ["docs/site/python", "docs/site/haptic"],
     "How good it is": [

@@ -50,8 +50,8 @@ class SceneFollower {
 ///     absent ── load ──> reserved (null) ── compiled ──> loaded (runner) ── unload, close ──> absent
 ///                             └── compilation failed or was cancelled, or the registry closed ──> absent
 ///
-/// An unload reserves the name too while the follower is told. `find` and `list` do not show a reserved name. `load` refuses it with kAlreadyExists, `unload` with
-/// kFailedPrecondition.
+/// An unload reserves the name too while the follower is told. `find` and `list` do not show a reserved name. `load`
+/// refuses it with kAlreadyExists, `unload` with kFailedPrecondition.
 class SceneRegistry {
  public:
   /// `output_signal` is called after every load and unload, and by the scenes' loops when a mailbox has something new.

@@ -12,5 +12,7 @@ inline constexpr int kMaxWaitingCalls = 12;
 /// ResetScene calls at once, which wait for the end of a step, too. They have a share of their own: a reset ends what
 /// others do to a scene.
 inline constexpr int kMaxResetCalls = 4;
+/// Threads of the health server, and bytes of a question to it. A further call, or a longer one, is refused.
+inline constexpr int kMaxHealthThreads = 4, kMaxHealthMessageBytes = 4096;
 
 }  // namespace tensormass::limits

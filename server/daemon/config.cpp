@@ -175,6 +175,10 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   app.add_option(
       "--keys", config.keys,
       "Folder of `tensormass keys init`: who may connect, and do what. Needed where other machines can connect");
+  config.health = kOff;
+  app.add_option("--health", config.health,
+                 "gRPC's health service alone, without keys, for who starts and stops the daemon: HOST:PORT, or off")
+      ->check([](const std::string& text) { return text == kOff ? std::string() : check_control(text); });
   app.add_option("--state", config.state,
                  "Folder in which scenes and their newest snapshots are kept. A daemon that starts with it brings them "
                  "back");
@@ -216,7 +220,7 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   }
   if (config.check_only) return finish(0, app.config_to_str(true, false));
 
-  for (std::string* endpoint : {&config.zeromq_publish, &config.zeromq_pose, &config.zenoh_listen}) {
+  for (std::string* endpoint : {&config.zeromq_publish, &config.zeromq_pose, &config.zenoh_listen, &config.health}) {
     if (*endpoint == kOff) endpoint->clear();
   }
   config.backend = backends.at(backend);

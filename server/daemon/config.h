@@ -35,6 +35,8 @@ struct Config {
   std::string keys;
   spdlog::level::level_enum log_level = spdlog::level::info;
   log::Format log_format = log::Format::kText;
+  /// Endpoint of the health service without keys (control/health_server.h). Empty: there is none; users write "off".
+  std::string health;
   /// Folder in which scenes and their snapshots are kept (state_store.h). Empty: nothing is kept.
   std::string state;
   std::uint64_t max_state_mib = limits::kDefaultStateMib;

@@ -37,6 +37,7 @@ Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config, const Proces
                         {"zeromq_publish", identity.zeromq_publish_endpoint()},
                         {"zeromq_pose", identity.zeromq_pose_endpoint()},
                         {"zenoh", identity.zenoh_locator()},
+                        {"health", daemon->health_ ? daemon->health_->endpoint() : ""},
                         {"keys", config.keys}});
   return daemon;
 }
@@ -85,6 +86,15 @@ Result<void> Daemon::open(const Config& config, const Process& process) {
   identity_.set_zenoh_locator(bus_->endpoints().zenoh_locator);
 
   publisher_.emplace(registry_, *bus_, config.server_name, wake_up_);
+  if (!config.health.empty()) {
+    TM_ASSIGN_OR_RETURN(health, control::HealthServer::start(config.health, [this](std::string_view why) {
+                          ++refused_connections_;
+                          note_malformed({}, fmt::format("{}, on the health endpoint; its connection was closed", why));
+                        }));
+    health_ = std::move(health);
+    set_health("live", true);
+    set_health("ready", false);
+  }
   // Before the control endpoint answers: who asks for a scene that is coming back must not hear that there is none.
   if (keeper_) keeper_->bring_back(registry_, process.stop_asked);
   const auto on_refused = [this](std::string_view why) {
@@ -96,11 +106,11 @@ Result<void> Daemon::open(const Config& config, const Process& process) {
                   config.control, registry_, identity_, [this] { return malformed_count(); }, on_refused, keys_.get()));
   server_ = std::move(server);
   if (keys_) keys_->follow([this] { return bus_->keys_changed(); });
-  server_->set_health("ready", true);
+  set_health("ready", true);
   vitals_.emplace(Vitals::Watched{.manager = process.manager,
                                   .scenes = [this] { return registry_.list(); },
                                   .publisher_turns = [this] { return publisher_->turns(limits::kTurnTime); },
-                                  .on_live = [this](bool live) { server_->set_health("live", live); },
+                                  .on_live = [this](bool live) { set_health("live", live); },
                                   .on_device_lost =
                                       [end = process.on_device_lost](const std::string& scene) {
                                         log::error("the process lost its device",
@@ -114,6 +124,7 @@ Result<void> Daemon::open(const Config& config, const Process& process) {
 
 Daemon::~Daemon() {
   vitals_.reset();
+  set_health("ready", false);
   if (server_ != nullptr) server_->announce_shutdown();
   if (keeper_) keeper_->take_last(limits::kLastStateTime);
   std::vector<control::RunnerPtr> ending = registry_.close();
@@ -122,7 +133,13 @@ Daemon::~Daemon() {
   server_.reset();
   ending.clear();
   keeper_.reset();
+  health_.reset();
   bus_.reset();
+}
+
+void Daemon::set_health(const std::string& name, bool serving) {
+  if (health_ != nullptr) health_->set(name, serving);
+  if (server_ != nullptr) server_->set_health(name, serving);
 }
 
 void Daemon::receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose) {

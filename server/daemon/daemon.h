@@ -9,6 +9,7 @@
 #include "access/key_ring.h"
 #include "bus/bus.h"
 #include "control/control_server.h"
+#include "control/health_server.h"
 #include "control/scene_registry.h"
 #include "core/log.h"
 #include "daemon/config.h"
@@ -72,6 +73,8 @@ class Daemon {
  private:
   Daemon(const Config& config, const world::BackendDescription& backend);
   Result<void> open(const Config& config, const Process& process);
+  /// Says "live" or "ready" on both health services.
+  void set_health(const std::string& name, bool serving);
   /// Gives a pose to its scene. Runs on transports' threads and does not block.
   void receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose);
   /// Logs a malformed message and counts it in the status of its scene. `scene` may be empty. Runs on the threads of
@@ -90,6 +93,7 @@ class Daemon {
   std::unique_ptr<access::KeyRing> keys_;  // nullptr: nobody is asked who it is
   std::unique_ptr<bus::Bus> bus_;
   std::optional<Publisher> publisher_;
+  std::unique_ptr<control::HealthServer> health_;  // nullptr: only the control endpoint answers for health
   std::unique_ptr<control::ControlServer> server_;
   std::optional<Vitals> vitals_;
 };

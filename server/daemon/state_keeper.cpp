@@ -44,7 +44,7 @@ void StateKeeper::bring_back(control::SceneRegistry& registry, const std::functi
     if (loaded.error().code == ErrorCode::kCancelled) return;
     log::error("scene does not come back",
                {{"scene", name}, {"reason", loaded.error().message}, {"files", store_->path_of("aside")}});
-    store_->put_aside(name);
+    store_->move_to_aside(name);
   }
 }
 
@@ -54,11 +54,9 @@ void StateKeeper::restore(const control::RunnerPtr& runner) {
   bool begins = true, adjusted = false, pauses = false;
   for (const std::uint64_t generation : store_->generations(name)) {
     const auto unusable = [&](std::string_view why) {
-      log::warn("snapshot is not used", {{"scene", name},
-                                         {"generation", generation},
-                                         {"reason", why},
-                                         {"files", store_->path_of("aside")}});
-      store_->put_aside(name, generation);
+      log::warn("snapshot is not used",
+                {{"scene", name}, {"generation", generation}, {"reason", why}, {"files", store_->path_of("aside")}});
+      store_->move_to_aside(name, generation);
     };
     const auto kept = store_->read_snapshot(name, generation);
     if (!kept) {
@@ -86,7 +84,8 @@ void StateKeeper::restore(const control::RunnerPtr& runner) {
     log::info("scene is back", {{"scene", name}, {"generation", generation}, {"step", status->step()}});
     break;
   }
-  if (begins) log::warn("scene starts from its beginning", {{"scene", name}, {"reason", "no snapshot of it is usable"}});
+  if (begins)
+    log::warn("scene starts from its beginning", {{"scene", name}, {"reason", "no snapshot of it is usable"}});
   if (pauses) (void)runner->pause();
 }
 
@@ -193,9 +192,12 @@ void StateKeeper::keep(Scene& scene) {
       if (kept.error().code == ErrorCode::kFailedPrecondition) scene.written = mark;
       return took(scene, kStateRetry);
     }
+    log::debug(
+        "state was taken",
+        {{"scene", scene.name}, {"bytes", kept->snapshot.size()}, {"loop_waited_us", kept->held.count() / 1000}});
     took(scene, std::max(period_, std::chrono::ceil<std::chrono::milliseconds>(limits::kStateRest * kept->held)));
-    const auto written = store_->write(
-        scene.name, scene.ticket, {{}, kept->paused, std::move(kept->adjustments), std::move(kept->snapshot)});
+    const auto written = store_->write(scene.name, scene.ticket,
+                                       {{}, kept->paused, std::move(kept->adjustments), std::move(kept->snapshot)});
     if (written) {
       scene.written = mark;
     } else {

@@ -36,7 +36,7 @@ class StateKeeper final : public control::SceneFollower {
   ~StateKeeper() override;
 
   /// Loads every scene of the store and restores the newest snapshot that is good and of this version. What cannot be
-  /// used is logged with its reason and put aside. Returns when all scenes step.
+  /// used is logged with its reason and moved to `aside`. Returns when all scenes step.
   /// stop_asked: ends it early if it returns true; the scenes that are left keep their files
   void bring_back(control::SceneRegistry& registry, const std::function<bool()>& stop_asked);
   /// Takes a last state of every scene, for as long as `at_most`.

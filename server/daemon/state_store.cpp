@@ -35,7 +35,7 @@ struct FileHeader {
   std::array<char, 8> magic = kStateMagic;
   std::uint32_t format = kStateFormat;
   std::uint32_t kind = 0;
-  std::array<char, 32> version{};  // of the daemon, ends with a zero
+  std::array<char, 32> version{};  // the daemon's; ends with a zero
   std::uint32_t paused = 0;
   std::uint32_t first_size = 0;   // snapshot: bytes of SceneAdjustments, which come first; scene: 0
   std::uint64_t second_size = 0;  // bytes of the scene or the snapshot
@@ -196,9 +196,10 @@ Result<std::unique_ptr<StateStore>> StateStore::open(const std::string& folder, 
   TM_ASSERT(version.size() < FileHeader{}.version.size(), "a version fits its field");
   std::unique_ptr<StateStore> store(new StateStore(folder, std::move(version), max_bytes));
   if (mkdir(folder.c_str(), 0700) != 0 && errno != EEXIST) {
-    return invalid(fmt::format("--state: cannot make the folder '{}': {}; make it, for this user alone: "
-                               "install -d -m 700 '{}'",
-                               folder, std::strerror(errno), folder));
+    return invalid(
+        fmt::format("--state: cannot make the folder '{}': {}; make it, for this user alone: "
+                    "install -d -m 700 '{}'",
+                    folder, std::strerror(errno), folder));
   }
   store->directory_ = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
   struct stat found {};
@@ -207,14 +208,16 @@ Result<std::unique_ptr<StateStore>> StateStore::open(const std::string& folder, 
                                std::strerror(errno)));
   }
   if (found.st_uid != geteuid()) {
-    return invalid(fmt::format("--state: the folder '{}' is of user {}, but the daemon runs as user {}; name a folder "
-                               "of the daemon's user, or: chown {} '{}'",
-                               folder, found.st_uid, geteuid(), geteuid(), folder));
+    return invalid(
+        fmt::format("--state: the folder '{}' is of user {}, but the daemon runs as user {}; name a folder "
+                    "of the daemon's user, or: chown {} '{}'",
+                    folder, found.st_uid, geteuid(), geteuid(), folder));
   }
   if ((found.st_mode & 0022) != 0) {
-    return invalid(fmt::format("--state: others can write the folder '{}' (mode {:o}); scenes are loaded from it, so: "
-                               "chmod 700 '{}'",
-                               folder, found.st_mode & 07777, folder));
+    return invalid(
+        fmt::format("--state: others can write the folder '{}' (mode {:o}); scenes are loaded from it, so: "
+                    "chmod 700 '{}'",
+                    folder, found.st_mode & 07777, folder));
   }
   if (flock(store->directory_, LOCK_EX | LOCK_NB) != 0) {
     return fail(ErrorCode::kUnavailable,
@@ -336,13 +339,12 @@ Result<std::string> StateStore::write_unfinished(std::uint32_t kind, bool paused
     const std::lock_guard lock(mutex_);
     file = fmt::format(".{}{}", next_unfinished_++, kUnfinishedEnd);
   }
-  const int descriptor =
-      openat(directory_, file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0600);
+  const int descriptor = openat(directory_, file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0600);
   int failure = descriptor < 0 ? errno : 0;
   if (descriptor >= 0) {
     const std::string_view head(reinterpret_cast<const char*>(&header), sizeof(header));
-    const bool written = write_all(descriptor, head) && write_all(descriptor, first) &&
-                         write_all(descriptor, second) && fsync(descriptor) == 0;
+    const bool written = write_all(descriptor, head) && write_all(descriptor, first) && write_all(descriptor, second) &&
+                         fsync(descriptor) == 0;
     if (!written) failure = errno;
     if (close(descriptor) != 0 && failure == 0) failure = errno;
     if (failure != 0) unlinkat(directory_, file.c_str(), 0);
@@ -359,8 +361,8 @@ Result<StateStore::Ticket> StateStore::add(const v1::Scene& scene) {
   remove(name);
   std::string content;
   if (!scene.SerializeToString(&content) || content.size() > limits::kMaxControlMessageBytes) {
-    return fail(ErrorCode::kResourceExhausted, fmt::format("scene '{}' is larger than limits::kMaxControlMessageBytes",
-                                                           name));
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("scene '{}' is larger than limits::kMaxControlMessageBytes", name));
   }
   const std::uint64_t bytes = sizeof(FileHeader) + content.size();
   TM_RETURN_IF_ERROR(reserve(bytes));
@@ -390,8 +392,7 @@ StateStore::Ticket StateStore::ticket(const std::string& name) const {
 
 Result<void> StateStore::write(const std::string& name, Ticket ticket, const Snapshot& snapshot) {
   std::string adjustments;
-  if (!snapshot.adjustments.SerializeToString(&adjustments) ||
-      adjustments.size() > limits::kMaxStateAdjustmentBytes ||
+  if (!snapshot.adjustments.SerializeToString(&adjustments) || adjustments.size() > limits::kMaxStateAdjustmentBytes ||
       snapshot.snapshot.size() > limits::kMaxControlMessageBytes) {
     return fail(ErrorCode::kResourceExhausted,
                 fmt::format("the snapshot of scene '{}' has {} bytes, more than limits::kMaxControlMessageBytes", name,
@@ -458,7 +459,7 @@ void StateStore::move_aside(const std::string& file, const std::string& to, std:
   bytes_ -= std::exchange(aside_bytes_[to], bytes);
 }
 
-void StateStore::put_aside(const std::string& name, std::uint64_t generation) {
+void StateStore::move_to_aside(const std::string& name, std::uint64_t generation) {
   const std::lock_guard lock(mutex_);
   const auto scene = scenes_.find(name);
   if (scene == scenes_.end() || !scene->second.generations.contains(generation)) return;
@@ -467,7 +468,7 @@ void StateStore::put_aside(const std::string& name, std::uint64_t generation) {
   remove_generation(name, scene->second, generation);
 }
 
-void StateStore::put_aside(const std::string& name) {
+void StateStore::move_to_aside(const std::string& name) {
   const std::lock_guard lock(mutex_);
   const auto scene = scenes_.find(name);
   if (scene == scenes_.end()) return;

@@ -23,7 +23,8 @@ namespace tensormass::daemon {
 ///
 /// A file is a header of 96 bytes, little-endian, and a content with a SHA-256 of both (`FileHeader` in the source).
 ///
-/// - Atomic: a file is written under another name, synced and renamed. So a process or a machine that ends midway leaves
+/// - Atomic: a file is written under another name, synced and renamed. So a process or a machine that ends midway
+/// leaves
 ///   the files before it as they were. Older generations go when the new one is complete.
 /// - Untrusted: sizes are bounded, and sum and form are checked before anything is parsed. A damaged file is an error
 ///   that names it, and the caller takes the next one.
@@ -33,7 +34,7 @@ namespace tensormass::daemon {
 class StateStore {
  public:
   struct Snapshot {
-    std::string version;  ///< of the daemon that made it
+    std::string version;  ///< the daemon that made it had this one
     bool paused = false;
     v1::SceneAdjustments adjustments;
     std::string snapshot;  ///< as SnapshotScene answers it
@@ -68,8 +69,8 @@ class StateStore {
   /// Removes the files of a scene.
   void remove(const std::string& name);
   /// Moves a snapshot, or a scene with its newest snapshot, to `aside`. The other snapshots of that scene are removed.
-  void put_aside(const std::string& name, std::uint64_t generation);
-  void put_aside(const std::string& name);
+  void move_to_aside(const std::string& name, std::uint64_t generation);
+  void move_to_aside(const std::string& name);
 
   const std::string& version() const { return version_; }
   std::string path_of(const std::string& file) const { return folder_ + "/" + file; }
@@ -99,7 +100,7 @@ class StateStore {
   mutable std::mutex mutex_;  // guards all below; held while files are renamed and removed, never while one is written
   std::map<std::string, Scene> scenes_;
   std::map<std::string, std::uint64_t> aside_bytes_;
-  std::uint64_t bytes_ = 0;  // of all files, and of those that are being written
+  std::uint64_t bytes_ = 0;  // all files, and those that are being written
   std::uint64_t next_ticket_ = 1, next_unfinished_ = 1;
 };
 

@@ -54,7 +54,8 @@ void Vitals::run() {
         watched_.on_live(live);
         was_live = live;
       }
-      const auto one = std::find_if(scenes.begin(), scenes.end(), [](const auto& runner) { return runner->device_lost(); });
+      const auto one =
+          std::find_if(scenes.begin(), scenes.end(), [](const auto& runner) { return runner->device_lost(); });
       if (one != scenes.end() && !std::exchange(lost, true)) watched_.on_device_lost((*one)->name());
     }
     lock.lock();

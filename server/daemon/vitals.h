@@ -25,7 +25,7 @@ class Vitals {
     const ServiceManager& manager;
     std::function<std::vector<control::RunnerPtr>()> scenes;  ///< all that step
     std::function<bool()> publisher_turns;
-    std::function<void(bool live)> on_live;                      ///< called first, and after each change
+    std::function<void(bool live)> on_live;                        ///< called first, and after each change
     std::function<void(const std::string& scene)> on_device_lost;  ///< called once
   };
   /// The functions are called on the thread of the watch.

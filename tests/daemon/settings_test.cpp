@@ -72,6 +72,8 @@ TEST(Settings, AnInvalidSettingIsRefusedByName) {
       {{"--zeromq-pose", "off"}, "--zeromq-pose"},
       {{"--zenoh-listen", "127.0.0.1:7447"}, "--zenoh-listen"},
       {{"--server-name", "a/b"}, "--server-name"},
+      {{"--max-state-mib", "0"}, "--max-state-mib"},
+      {{"--health", "localhost"}, "--health"},
       {{"--log-level", "loud"}, "--log-level"},
       {{"--nonsense"}, "--nonsense"},
   };

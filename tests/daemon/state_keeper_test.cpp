@@ -107,7 +107,7 @@ TEST_F(StateKeeperTest, ScenesComeBackWithTheirState) {
   EXPECT_EQ((*process.registry.find("paused"))->status().state(), v1::SceneStatus::STATE_PAUSED);
   EXPECT_EQ((*process.registry.find("running"))->status().state(), v1::SceneStatus::STATE_RUNNING);
 
-  // They are kept on.
+  // A scene that came back is kept as before.
   ASSERT_TRUE(stepped->step(1));
   EXPECT_TRUE(process.kept(stepped));
 }
@@ -169,7 +169,7 @@ TEST_F(StateKeeperTest, ASnapshotOfAnotherVersionStartsTheSceneFromItsBeginning)
   EXPECT_EQ(scene->adjust({})->adjustments().gravity_m_per_s2().y(), -1);
 }
 
-TEST_F(StateKeeperTest, ASceneThatDoesNotLoadIsPutAsideAndTheOthersComeBack) {
+TEST_F(StateKeeperTest, ASceneThatDoesNotLoadIsMovedAwayAndTheOthersComeBack) {
   {
     Process process(folder);
     process.load(scene_named("a"));

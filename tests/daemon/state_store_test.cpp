@@ -230,10 +230,10 @@ TEST_F(StateStoreTest, AllFilesTogetherHaveALimit) {
     EXPECT_REFUSED(store->write("a", *ticket, large), ErrorCode::kResourceExhausted, "--max-state-mib 1");
     EXPECT_EQ(store->generations("a"), std::vector<std::uint64_t>{1});
   }
-  // What is there counts after a start, too, and what is removed does not.
+  // Files that are there count after a start, too, and removed ones do not.
   auto store = open(kMib);
   EXPECT_REFUSED(store->write("a", store->ticket("a"), large), ErrorCode::kResourceExhausted, "--max-state-mib 1");
-  store->put_aside("a", 1);
+  store->move_to_aside("a", 1);
   EXPECT_REFUSED(store->write("a", store->ticket("a"), large), ErrorCode::kResourceExhausted, "state/aside");
   store.reset();
   fs::remove_all(folder / "aside");
@@ -320,17 +320,17 @@ TEST_F(StateStoreTest, TakesOnlyFilesThatItCouldHaveWritten) {
   EXPECT_TRUE(fs::exists(folder / "README"));
 }
 
-TEST_F(StateStoreTest, PutsAsideWhatCannotBeUsed) {
+TEST_F(StateStoreTest, MovesAwayWhatCannotBeUsed) {
   const auto store = open();
   const auto ticket = store->add(scene_named("a"));
   ASSERT_TRUE(ticket);
   for (const char* content : {"1", "2", "3"}) ASSERT_TRUE(store->write("a", *ticket, snapshot(content)));
   const std::string second = content_of(folder / "a.2.snapshot");
-  store->put_aside("a", 3);
-  store->put_aside("a", 2);
+  store->move_to_aside("a", 3);
+  store->move_to_aside("a", 2);
   EXPECT_EQ(store->generations("a"), std::vector<std::uint64_t>{1});
   EXPECT_EQ(content_of(folder / "aside" / "a.snapshot"), second);
-  store->put_aside("a");
+  store->move_to_aside("a");
   EXPECT_TRUE(store->scenes().empty());
   EXPECT_EQ(files(), std::vector<std::string>{"aside"});
   EXPECT_TRUE(fs::exists(folder / "aside" / "a.scene"));

@@ -78,7 +78,7 @@ TEST(ServiceManagerTest, TellsNobodyWithoutOne) {
     manager.tell("READY=1");
   }
   FakeManager fake;
-  setenv("WATCHDOG_PID", "1", 1);  // of another process
+  setenv("WATCHDOG_PID", "1", 1);  // another process
   EXPECT_FALSE(ServiceManager().watchdog());
   unsetenv("WATCHDOG_PID");
   setenv("WATCHDOG_USEC", "soon", 1);

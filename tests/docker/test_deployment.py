@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,35 @@ def test_daemon_accepts_its_settings(source: str) -> None:
     assert result.returncode == 0, result.stdout + result.stderr
     for name, value in environment.items():
         assert value in result.stdout, f"{name} has no effect: {result.stdout}"
+
+
+def unit_lines(unit: str, name: str) -> list[str]:
+    return [line.partition("=")[2] for line in unit.splitlines() if line.startswith(f"{name}=")]
+
+
+def test_the_unit_starts_the_daemon_with_its_state(tmp_path: Path) -> None:
+    unit = (DOCKER / "systemd/tensormassd.service").read_text()
+    program, *arguments = unit_lines(unit, "ExecStart")[0].split()
+    assert program == "/usr/local/bin/tensormassd"
+    assert unit_lines(unit, "Type") == ["notify"]
+    assert "75" not in unit_lines(unit, "RestartPreventExitStatus"), "a lost GPU starts the daemon again"
+    if not DAEMON.exists():
+        pytest.skip(f"{DAEMON.name} is not built")
+    arguments = [argument.replace("${STATE_DIRECTORY}", str(tmp_path)) for argument in arguments]
+    result = subprocess.run([DAEMON, *arguments, "--check-config"], capture_output=True, text=True, timeout=20)
+    assert result.returncode == 0, result.stderr
+    assert f'state="{tmp_path}"' in result.stdout
+
+
+def test_systemd_knows_every_setting_of_the_unit(tmp_path: Path) -> None:
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("systemd-analyze is not here")
+    unit = tmp_path / "tensormassd.service"
+    text = (DOCKER / "systemd/tensormassd.service").read_text()
+    unit.write_text(text.replace("/usr/local/bin/tensormassd", "/bin/true"))  # which systemd looks for
+    result = subprocess.run(["systemd-analyze", "verify", unit], capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stderr
+    assert unit.name not in result.stderr, result.stderr
 
 
 @pytest.mark.parametrize("source", SOURCES)

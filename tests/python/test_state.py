@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import socket
 import time
 from collections.abc import Callable, Iterator
@@ -138,7 +139,9 @@ def test_the_demo_is_back_within_5_s(trainer: Trainer) -> None:
         took_s = time.monotonic() - start
         assert server.scene("demo").status().step > 0
         # 5 s on a machine of its own. A busy one gets more.
-        assert took_s < 5 + 25 * (os.getloadavg()[0] > 1), f"{took_s:.2f} s, {time.process_time() - begin:.2f} s of it here"
+        assert took_s < 5 + 25 * (os.getloadavg()[0] > 1), (
+            f"{took_s:.2f} s, {time.process_time() - begin:.2f} s of it here"
+        )
 
 
 def test_a_stopped_daemon_keeps_its_last_step(trainer: Trainer) -> None:
@@ -174,9 +177,15 @@ def test_an_open_folder_is_refused_with_the_remedy(trainer: Trainer, tmp_path: P
         trainer.start()
 
 
-def test_health_is_live_and_ready(trainer: Trainer) -> None:
-    trainer.start()
-    with grpc.insecure_channel(trainer.endpoints["control"]) as channel:
+@pytest.mark.parametrize("own_port", [False, True])
+def test_health_is_live_and_ready(trainer: Trainer, own_port: bool) -> None:
+    trainer.start("--health", "127.0.0.1:0" if own_port else "off")
+    endpoint = trainer.endpoints["control"]
+    if own_port:
+        said = re.search(r" health=(\S+)", trainer.log.read_text())
+        assert said is not None
+        endpoint = said[1]
+    with grpc.insecure_channel(endpoint) as channel:
         check: Callable[..., bytes] = channel.unary_unary("/grpc.health.v1.Health/Check")
 
         def serving(name: str) -> bool:
@@ -189,6 +198,11 @@ def test_health_is_live_and_ready(trainer: Trainer) -> None:
         assert serving("ready")
         assert serving("")
         assert not serving("dead")
+        if own_port:
+            version: Callable[..., bytes] = channel.unary_unary("/tensormass.v1.Control/GetVersion")
+            with pytest.raises(grpc.RpcError) as refused:
+                version(b"", timeout=DEADLINE_S)
+            assert refused.value.code() == grpc.StatusCode.UNIMPLEMENTED
 
 
 def test_systemd_hears_of_start_watchdog_and_end(trainer: Trainer, tmp_path: Path) -> None:
