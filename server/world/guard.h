@@ -1,9 +1,11 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 
 #include "backend/backend.h"
 #include "model/model.h"
@@ -39,6 +41,12 @@ enum class Breach : std::uint8_t {
   kToolLoad,        ///< load of a tool, relative to the largest that it bears
   kEnclosed,        ///< tissue encloses a tool; the value is its place
 };
+
+/// Names of the breaches in metrics (docs/metrics.md), in the order of Breach.
+inline constexpr std::array<std::string_view, 11> kBreachNames{
+    "none",           "not_finite", "move",      "distance",     "kinetic_energy", "linear_residual", "newton_residual",
+    "no_equilibrium", "inversion",  "tool_load", "enclosed_tool"};
+static_assert(static_cast<std::size_t>(Breach::kEnclosed) + 1 == kBreachNames.size(), "a name for each breach");
 
 /// A step compared with its bounds: the first bound it left, with its value and the bound in the bound's unit.
 struct BoundCheck {

@@ -28,8 +28,8 @@ Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start
       model_(world_->model()),
       inboxes_(model_.tools.size()),
       budget_(model_),
-      outputs_(*world_, start.frames_published),
-      status_(model_, std::move(backend), budget_, inboxes_, outputs_, start.statistics),
+      outputs_(*world_, start.frames_published, start.counts),
+      status_(model_, std::move(backend), budget_, inboxes_, outputs_, start.statistics, start.counts),
       clock_(model_.rate_hz),
       expiry_(model_.tools.size(), Clock::time_point::max()) {
   status_.take_stamp(outputs_.stamp());
@@ -153,10 +153,22 @@ void Loop::expire_poses(Clock::time_point now) {
   }
 }
 
+/// Measures how old the poses are that the coming step uses. Only a client that streams poses says how long they are
+/// valid; the pose of a script may be old.
+void Loop::measure_pose_ages(Clock::time_point now) {
+  for (std::size_t i = 0; i < expiry_.size(); ++i) {
+    if (expiry_[i] != Clock::time_point::max()) status_.take_pose_age(now - world_->readings()[i].newest.arrived);
+  }
+}
+
 /// Makes one step with the newest poses. Returns false if the scene stopped: state() is STATE_FAULTED then.
 bool Loop::step_once(bool with_frame, Diagnostics diagnostics) {
   take_poses();
-  if (runs()) expire_poses(Clock::now());
+  if (runs()) {
+    const Clock::time_point now = Clock::now();
+    expire_poses(now);
+    measure_pose_ages(now);
+  }
   return make_step(with_frame, diagnostics);
 }
 
@@ -221,6 +233,7 @@ void Loop::stop_with_fault(std::string reason) {
 void Loop::stop_for_device(const std::exception& failure) {
   device_failed_ = true;
   if (loses_device(failure.what())) status_.take_device_loss();
+  status_.take_device_fault();
   std::string reason = "device failed";  // short enough to need no memory
   try {
     reason = fmt::format("the device failed in step {}: {}. Unload the scene and load it again",

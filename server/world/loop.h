@@ -64,6 +64,7 @@ class Loop {
     bool paused = false;
     std::shared_ptr<FrameCount> frames_published = std::make_shared<FrameCount>(0);
     std::shared_ptr<StepStatistics> statistics = std::make_shared<StepStatistics>();
+    std::shared_ptr<SceneCounts> counts = std::make_shared<SceneCounts>();
   };
 
   /// Starts the thread. backend: its name, for the status.
@@ -97,6 +98,7 @@ class Loop {
   bool turns(Clock::time_point now, Clock::duration late) const {
     return now.time_since_epoch().count() - due_by_.load(std::memory_order_relaxed) < late.count();
   }
+  const PoseInbox& inbox(std::size_t tool) const { return inboxes_[tool]; }
   /// Ends the step at hand and a `do_step` in progress, because nobody will see the scene again.
   void cancel() {
     cancelled_.store(true, std::memory_order_relaxed);
@@ -173,6 +175,7 @@ class Loop {
   bool make_step(bool with_frame, Diagnostics diagnostics);
   void take_poses();
   void expire_poses(Clock::time_point now);
+  void measure_pose_ages(Clock::time_point now);
   void record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected);
   void go_on_from_new_state();
   bool lockstep_frame_due(Clock::time_point now, bool last);

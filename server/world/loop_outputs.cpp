@@ -8,7 +8,8 @@
 
 namespace tensormass::world {
 
-LoopOutputs::LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_published)
+LoopOutputs::LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_published,
+                         std::shared_ptr<SceneCounts> counts)
     : world_(world),
       model_(world.model()),
       tools_(model_.tools.size()),
@@ -18,8 +19,11 @@ LoopOutputs::LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_publis
                         std::vector<std::uint8_t>(world.broken_springs().size())}),
       feedback_(FeedbackSlot{{}, tools_}),
       status_feedback_(FeedbackSlot{{}, tools_}),
-      frames_published_(std::move(frames_published)) {
+      frames_published_(std::move(frames_published)),
+      counts_(std::move(counts)),
+      answered_(tools_.size()) {
   take_step(Clock::now());
+  for (std::size_t i = 0; i < tools_.size(); ++i) answered_[i] = tools_[i].newest.arrived;
 }
 
 void LoopOutputs::take_step(Clock::time_point began) {
@@ -114,8 +118,17 @@ bool LoopOutputs::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
   feedback.resize(slot->tools.size());
   for (std::size_t i = 0; i < slot->tools.size(); ++i) {
     fill_feedback(model_, slot->stamp, i, slot->tools[i], feedback[i]);
+    count_answer(i, slot->tools[i].newest.arrived);
   }
   return true;
+}
+
+/// Counts the time from a pose to its force, once for each pose. A scene in lockstep steps when somebody asks for it,
+/// so the time says nothing there.
+void LoopOutputs::count_answer(std::size_t tool, Clock::time_point arrived) {
+  if (model_.lockstep || arrived == answered_[tool] || arrived == Clock::time_point{}) return;
+  answered_[tool] = arrived;
+  counts_->poses_to_force.add(std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - arrived).count());
 }
 
 void LoopOutputs::add_to(v1::SceneStatus& status) const {

@@ -10,6 +10,7 @@
 #include "tensormass/v1/stream.pb.h"
 #include "world/latest.h"
 #include "world/messages.h"
+#include "world/scene_counts.h"
 #include "world/world.h"
 
 /// The results of a scene's loop, and the mailboxes that carry them to other threads.
@@ -34,8 +35,9 @@ using FrameCount = std::atomic<std::uint64_t>;
 class LoopOutputs {
  public:
   /// `world` outlives the outputs. Allocates all buffers, so that publishing allocates nothing.
-  /// frames_published: shared with the earlier loops of the scene.
-  explicit LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_published = std::make_shared<FrameCount>(0));
+  /// frames_published, counts: shared with the earlier loops of the scene.
+  explicit LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_published = std::make_shared<FrameCount>(0),
+                       std::shared_ptr<SceneCounts> counts = std::make_shared<SceneCounts>());
 
   // -- the loop's thread; these read the world ------------------------------------------------------------------------
 
@@ -74,6 +76,7 @@ class LoopOutputs {
  private:
   void leave_feedback();
   void leave_frame();
+  void count_answer(std::size_t tool, Clock::time_point arrived);
 
   World& world_;
   const model::Model& model_;
@@ -89,6 +92,8 @@ class LoopOutputs {
   mutable const FeedbackSlot* newest_status_feedback_ = nullptr;
 
   const std::shared_ptr<FrameCount> frames_published_;
+  const std::shared_ptr<SceneCounts> counts_;
+  std::vector<Clock::time_point> answered_;  // [tool]: arrival of the newest pose that was counted; the publisher's
   std::atomic<std::uint64_t> frames_replaced_{0};
 };
 

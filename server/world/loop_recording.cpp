@@ -112,9 +112,9 @@ Result<Loop::HandedOver> Loop::do_hand_over() {
   TM_RETURN_IF_ERROR(require_not_recorded("a change of the scene"));
   TM_ASSIGN_OR_RETURN(state, do_save());
   handed_over_ = true;
-  return HandedOver{
-      std::move(state),
-      {status_.state() == v1::SceneStatus::STATE_PAUSED, outputs_.frames_published(), status_.statistics()}};
+  return HandedOver{std::move(state),
+                    {status_.state() == v1::SceneStatus::STATE_PAUSED, outputs_.frames_published(),
+                     status_.statistics(), status_.counts()}};
 }
 
 Result<void> Loop::do_go_on() {

@@ -24,13 +24,14 @@ void fill(const DurationCounts& counts, v1::DurationHistogram& out) {
 
 LoopStatus::LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget,
                        const std::deque<PoseInbox>& inboxes, const LoopOutputs& outputs,
-                       std::shared_ptr<StepStatistics> statistics)
+                       std::shared_ptr<StepStatistics> statistics, std::shared_ptr<SceneCounts> counts)
     : model_(model),
       backend_(std::move(backend)),
       inboxes_(inboxes),
       outputs_(outputs),
       state_(model.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING),
       statistics_(std::move(statistics)),
+      counts_(std::move(counts)),
       findings_(model, budget) {}
 
 void LoopStatus::set_state(State next) {

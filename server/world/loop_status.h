@@ -12,6 +12,7 @@
 #include "world/findings.h"
 #include "world/loop_outputs.h"
 #include "world/pose_inbox.h"
+#include "world/scene_counts.h"
 #include "world/step_clock.h"
 
 /// A scene's state (running, paused, ...), its step times and its counts: what SceneStatus reports.
@@ -28,10 +29,10 @@ class LoopStatus {
   using State = v1::SceneStatus::State;
 
   /// backend: its name, as in SceneStatus. All references outlive the status.
-  /// statistics: shared with the earlier loops of the scene, so that they count from its load.
+  /// statistics, counts: shared with the earlier loops of the scene, so that they count from its load.
   LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget,
              const std::deque<PoseInbox>& inboxes, const LoopOutputs& outputs,
-             std::shared_ptr<StepStatistics> statistics);
+             std::shared_ptr<StepStatistics> statistics, std::shared_ptr<SceneCounts> counts);
 
   // -- the loop's thread ----------------------------------------------------------------------------------------------
 
@@ -44,7 +45,13 @@ class LoopStatus {
   /// Takes what World::step found, also if the guard stopped the scene.
   /// A status is due if a recovery began or ended.
   void take_step(const World& world) {
-    if (findings_.take_step(world)) due_.store(true, std::memory_order_relaxed);
+    const bool turns = findings_.take_step(world);
+    if (turns) due_.store(true, std::memory_order_relaxed);
+    counts_->take_step(world.last(), world.guard_event(), turns && world.recovering());
+  }
+  void take_device_fault() { counts_->take_device_fault(); }
+  void take_pose_age(Clock::duration age) {
+    counts_->pose_ages.add(std::chrono::duration_cast<std::chrono::nanoseconds>(age).count());
   }
   /// Takes what World::diagnose found.
   void take_diagnostics(const World& world) { findings_.take_diagnostics(world); }
@@ -64,6 +71,7 @@ class LoopStatus {
   /// A number that differs after each change of the scene's state.
   std::uint64_t changes() const { return changes_.load(std::memory_order_relaxed); }
   bool device_lost() const { return device_lost_.load(std::memory_order_relaxed); }
+  const std::shared_ptr<SceneCounts>& counts() const { return counts_; }
   /// An error that says why the scene stopped, if it did.
   Result<void> require_not_faulted() const;
   void count_malformed_pose() { malformed_poses_.fetch_add(1, std::memory_order_relaxed); }
@@ -85,6 +93,7 @@ class LoopStatus {
   std::atomic<std::uint64_t> step_count_{0}, malformed_poses_{0}, changes_{0};
   std::atomic<double> simulated_time_s_{0};
   const std::shared_ptr<StepStatistics> statistics_;
+  const std::shared_ptr<SceneCounts> counts_;
   Findings findings_;
   mutable std::mutex fault_mutex_;
   std::string fault_;  // guarded by fault_mutex_

@@ -148,6 +148,16 @@ Result<v1::SceneStatus> Runner::reset() {
   return impl_->call([](Loop& loop) { return loop.do_reset(); });
 }
 v1::SceneStatus Runner::status() const { return impl_->loop()->status().make(); }
+SceneMetrics Runner::metrics() const {
+  const std::shared_ptr<Loop> loop = impl_->loop();
+  const LoopStatus& status = loop->status();
+  SceneMetrics out{status.make(), impl_->report.bytes_total(), {}, status.statistics(), status.counts()};
+  for (const auto& [name, tool] : impl_->tool_index) {
+    const PoseInbox& inbox = loop->inbox(tool);
+    out.tools.push_back({name, inbox.received(), inbox.rejected(), inbox.superseded()});
+  }
+  return out;
+}
 void Runner::cancel() { impl_->loop()->cancel(); }
 
 Result<v1::Frame> Runner::frame() {

@@ -19,6 +19,8 @@
 namespace tensormass::world {
 
 struct CompiledScene;
+struct SceneCounts;
+class StepStatistics;
 
 /// What a scene needs to come back in another process, together with the message it was loaded from.
 struct KeptState {
@@ -47,6 +49,19 @@ struct RunnerOptions {
 struct StartedRecording {
   std::shared_ptr<Recording> recording;
   v1::RecordingStart start;
+};
+
+/// What metrics say of a scene (docs/metrics.md).
+struct SceneMetrics {
+  struct Tool {
+    std::string name;
+    std::uint64_t received = 0, rejected = 0, superseded = 0;  ///< poses, as in SceneStatus
+  };
+  v1::SceneStatus status;
+  std::uint64_t bytes = 0;  ///< buffers of the scene on its backend
+  std::vector<Tool> tools;
+  std::shared_ptr<const StepStatistics> statistics;
+  std::shared_ptr<const SceneCounts> counts;
 };
 
 /// One scene that steps on a thread of its own. All methods may be called from any thread.
@@ -86,6 +101,8 @@ class Runner {
   Result<v1::SceneStatus> step(std::uint32_t count);
   Result<v1::SceneStatus> reset();
   v1::SceneStatus status() const;
+  /// Waits for no step.
+  SceneMetrics metrics() const;
   /// Ends the step at hand and a `step` in progress, with kUnavailable, because the scene will be unloaded.
   void cancel();
   /// Surface positions after the last step.
