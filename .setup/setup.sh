@@ -233,6 +233,21 @@ install_python_packages() {
   pip_install --no-deps --no-build-isolation --editable "$root/clients/python[$1]"
 }
 
+# Prometheus and promtool, for tests/metrics. Debian's package would start a service, so it is unpacked, not installed.
+install_prometheus() {
+  local folder=$venv/prometheus
+  say "unpacking Prometheus into .venv"
+  rm -rf "$folder"
+  mkdir -p "$folder"
+  refresh_package_lists
+  cd "$folder"
+  apt-get download -qq prometheus >/dev/null
+  dpkg-deb --extract prometheus_*.deb .
+  rm prometheus_*.deb
+  ln -sf "$folder/usr/bin/prometheus" "$folder/usr/bin/promtool" "$venv/bin"
+  cd "$root"
+}
+
 install_docs_packages() {
   say "installing Sphinx into .venv"
   pip_install --constraint "$root/clients/python/requirements.lock" --requirement "$root/docs/site/requirements.txt"
@@ -279,7 +294,10 @@ if [[ $cuda != OFF* ]]; then once cuda "$tools_inputs" install_cuda; fi
 export PATH=$venv/bin:$PATH
 run rust install_rust
 once python "$python_inputs" install_python_packages build,meshes,record,viewer
-if [[ $goal == test ]]; then once python-dev "$python_inputs" install_python_packages dev; fi
+if [[ $goal == test ]]; then
+  once python-dev "$python_inputs" install_python_packages dev
+  once prometheus unpacked install_prometheus
+fi
 web_inputs="$(checksum "$root/clients/web/package-lock.json") $(node --version)"
 once web "$web_inputs" install_web_packages
 say "everything is in place (${SECONDS} s)"

@@ -18,6 +18,7 @@ CONTENTS = {
         "clients/haptic/README",
         "docs/haptics",
         "docs/findings",
+        "docs/metrics",
         "docs/protocol",
         "docs/security",
         "docs/operation",

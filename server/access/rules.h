@@ -41,6 +41,7 @@ inline constexpr auto kCalls = [] {
       {"tensormass.v1.Control/GetVersion",            {ALL,     ALL,   ALL,   ALL,     ALL}},
       {"tensormass.v1.Control/ListScenes",            {ALL,     NO,    ALL,   ALL,     ALL}},
       {"tensormass.v1.Control/GetStatus",             {ALL,     SCENE, ALL,   ALL,     ALL}},
+      {"tensormass.v1.Control/GetMetrics",            {ALL,     NO,    NO,    NO,      ALL}},
       {"tensormass.v1.Control/GetTopology",           {ALL,     SCENE, ALL,   ALL,     NO}},
       {"tensormass.v1.Control/GetFrame",              {ALL,     SCENE, ALL,   ALL,     NO}},
       {"tensormass.v1.Control/GetFeedback",           {ALL,     TOOL,  ALL,   ALL,     NO}},

@@ -53,7 +53,8 @@ double Admission::resident_bytes() {
   return resident * static_cast<double>(sysconf(_SC_PAGESIZE));
 }
 
-Admission::Admission(const AdmissionLimits& limits, double (*used_bytes)()) : limits_(limits), used_bytes_(used_bytes) {
+Admission::Admission(const AdmissionLimits& limits, double (*used_bytes)(), Refusals* refusals)
+    : limits_(limits), used_bytes_(used_bytes), refusals_(refusals) {
   if (!(limits_.all_bytes > 0)) limits_.all_bytes = kDefaultMemoryShare * machine_bytes();
   if (!(limits_.scene_bytes > 0)) limits_.scene_bytes = limits_.all_bytes;
   if (!(limits_.load_s > 0)) limits_.load_s = kDefaultLoadS;
@@ -67,7 +68,8 @@ Admission::Promise::~Promise() {
 
 Result<Admission::Promise> Admission::admit(const v1::Scene& scene) {
   const SceneCost cost = estimate_cost(scene);
-  const auto refuse = [&](const std::string& why) {
+  const auto refuse = [&](Limit limit, const std::string& why) {
+    if (refusals_ != nullptr) refusals_->count(limit);
     return fail(ErrorCode::kResourceExhausted,
                 fmt::format("scene '{}' has about {:.0f} elements and {:.0f} nodes, and {}",
                             scene.name().substr(0, limits::kMaxNameLength), cost.elements, cost.nodes, why));
@@ -75,24 +77,24 @@ Result<Admission::Promise> Admission::admit(const v1::Scene& scene) {
   // Beyond the hard limits the reader refuses it before it allocates, and names the body.
   if (cost.elements > limits::kMaxElements || cost.nodes > limits::kMaxNodes) return Promise(*this, 0);
   if (cost.compile_s > limits_.load_s) {
-    return refuse(
-        fmt::format("loading it takes about {:.0f} s, more than --max-load-s {:.0f}; use a coarser mesh, or "
-                    "start the daemon with a larger --max-load-s",
-                    cost.compile_s, limits_.load_s));
+    return refuse(Limit::kLoadTime,
+                  fmt::format("loading it takes about {:.0f} s, more than --max-load-s {:.0f}; use a coarser mesh, or "
+                              "start the daemon with a larger --max-load-s",
+                              cost.compile_s, limits_.load_s));
   }
   if (cost.bytes > limits_.scene_bytes) {
-    return refuse(
-        fmt::format("needs about {:.0f} MiB, more than --max-scene-mib {:.0f}; use a coarser mesh, or start "
-                    "the daemon with a larger --max-scene-mib",
-                    cost.bytes / kMib, limits_.scene_bytes / kMib));
+    return refuse(Limit::kSceneMemory,
+                  fmt::format("needs about {:.0f} MiB, more than --max-scene-mib {:.0f}; use a coarser mesh, or start "
+                              "the daemon with a larger --max-scene-mib",
+                              cost.bytes / kMib, limits_.scene_bytes / kMib));
   }
   const std::lock_guard lock(mutex_);
   const double used = used_bytes_() + promised_;
   if (used + cost.bytes > limits_.all_bytes) {
-    return refuse(
-        fmt::format("needs about {:.0f} MiB, but {:.0f} MiB of --max-memory-mib {:.0f} are taken; unload a "
-                    "scene, or start the daemon with a larger --max-memory-mib",
-                    cost.bytes / kMib, used / kMib, limits_.all_bytes / kMib));
+    return refuse(Limit::kMemory,
+                  fmt::format("needs about {:.0f} MiB, but {:.0f} MiB of --max-memory-mib {:.0f} are taken; unload a "
+                              "scene, or start the daemon with a larger --max-memory-mib",
+                              cost.bytes / kMib, used / kMib, limits_.all_bytes / kMib));
   }
   promised_ += cost.bytes;
   return Promise(*this, cost.bytes);

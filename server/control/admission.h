@@ -4,6 +4,7 @@
 #include <mutex>
 #include <utility>
 
+#include "control/refusals.h"
 #include "core/result.h"
 #include "tensormass/v1/scene.pb.h"
 
@@ -26,8 +27,9 @@ inline constexpr double kDefaultLoadS = 600;
 /// needs (scene_cost.h) stay within the bound of all. All methods may be called from any thread.
 class Admission {
  public:
-  /// used_bytes: double(), the memory that the process holds.
-  explicit Admission(const AdmissionLimits& limits, double (*used_bytes)() = &Admission::resident_bytes);
+  /// used_bytes: double(), the memory that the process holds. refusals: counts them; nullptr: nobody does.
+  explicit Admission(const AdmissionLimits& limits, double (*used_bytes)() = &Admission::resident_bytes,
+                     Refusals* refusals = nullptr);
 
   /// Memory that was promised to one load, as long as it lives.
   class Promise {
@@ -55,6 +57,7 @@ class Admission {
  private:
   AdmissionLimits limits_;
   double (*const used_bytes_)();
+  Refusals* const refusals_;
   std::mutex mutex_;
   double promised_ = 0;  // guarded by mutex_
 };

@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <grpcpp/support/status.h>
 
+#include "control/refusals.h"
 #include "control/status.h"
 
 namespace tensormass::control {
@@ -22,14 +23,18 @@ namespace tensormass::control {
 /// All methods may be called from any thread.
 class CallShare {
  public:
-  /// limit: the most calls at once; name: of that limit, for the refusal. Both must outlive the share.
-  CallShare(int limit, const char* name) : limit_(limit), name_(name) {}
+  /// limit: the most calls at once; name: of that limit, for the refusal. refusals: counts those as `counted`. All must
+  /// outlive the share.
+  CallShare(int limit, const char* name, Refusals& refusals, Limit counted)
+      : limit_(limit), name_(name), refusals_(refusals), counted_(counted) {}
 
   /// The place of one call in a share, as long as it lives. False if there was none left.
   class Place {
    public:
     explicit Place(CallShare& share) : share_(share), taken_(share.taken_.fetch_add(1) < share.limit_) {
-      if (!taken_) share_.taken_.fetch_sub(1);
+      if (taken_) return;
+      share_.taken_.fetch_sub(1);
+      share_.refusals_.count(share_.counted_);
     }
     ~Place() {
       if (taken_) share_.taken_.fetch_sub(1);
@@ -53,6 +58,8 @@ class CallShare {
  private:
   const int limit_;
   const char* const name_;
+  Refusals& refusals_;
+  const Limit counted_;
   std::atomic<int> taken_{0};
 };
 

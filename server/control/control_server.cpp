@@ -39,11 +39,13 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
                                                             const v1::GetVersionResponse& identity,
                                                             std::function<std::uint64_t()> malformed_count,
                                                             std::function<void(std::string_view why)> on_refused,
-                                                            const access::KeyRing* keys) {
+                                                            const access::KeyRing* keys,
+                                                            std::function<std::string()> metrics) {
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   TM_ASSIGN_OR_RETURN(doorkeeper, Doorkeeper::listen(address));
-  std::unique_ptr<Parts> parts(new Parts{.service = {registry, identity, std::move(malformed_count), keys}});
+  std::unique_ptr<Parts> parts(
+      new Parts{.service = {registry, identity, std::move(malformed_count), keys, std::move(metrics)}});
   if (keys != nullptr) {
     const access::DaemonKeys& own = keys->daemon();
     TM_ASSIGN_OR_RETURN(tls, TlsContext::make(own.certificate_pem, own.private_key_pem, own.authority_pem));

@@ -32,14 +32,14 @@ class ControlServer {
   ///
   ///   malformed_count()   returns what GetVersion adds to `identity`; called on gRPC's threads
   ///   keys                who may connect and call; must outlive the server. nullptr: everybody, in plain text
+  ///   metrics()           returns the answer of GetMetrics; called on gRPC's threads
   ///   on_refused(why)     called for each connection that does not speak HTTP/2, or that passes a limit, on the
   ///   threads
   ///                       of doorkeeper and relay; it must not block
-  static Result<std::unique_ptr<ControlServer>> start(const std::string& address, SceneRegistry& registry,
-                                                      const v1::GetVersionResponse& identity,
-                                                      std::function<std::uint64_t()> malformed_count,
-                                                      std::function<void(std::string_view why)> on_refused,
-                                                      const access::KeyRing* keys = nullptr);
+  static Result<std::unique_ptr<ControlServer>> start(
+      const std::string& address, SceneRegistry& registry, const v1::GetVersionResponse& identity,
+      std::function<std::uint64_t()> malformed_count, std::function<void(std::string_view why)> on_refused,
+      const access::KeyRing* keys = nullptr, std::function<std::string()> metrics = [] { return std::string(); });
   /// Stops listening, waits at most kDrainTime for running calls, then cancels them.
   ~ControlServer();
 

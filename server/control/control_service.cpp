@@ -60,8 +60,13 @@ model::Progress while_awaited(const grpc::ServerContext& context) {
 }  // namespace
 
 ControlService::ControlService(SceneRegistry& registry, v1::GetVersionResponse identity,
-                               std::function<std::uint64_t()> malformed_count, const access::KeyRing* keys)
-    : registry_(registry), identity_(std::move(identity)), malformed_count_(std::move(malformed_count)), keys_(keys) {}
+                               std::function<std::uint64_t()> malformed_count, const access::KeyRing* keys,
+                               std::function<std::string()> metrics)
+    : registry_(registry),
+      identity_(std::move(identity)),
+      malformed_count_(std::move(malformed_count)),
+      keys_(keys),
+      metrics_(std::move(metrics)) {}
 
 grpc::Status ControlService::permit(const grpc::ServerContext* context, std::string_view call, std::string_view scene,
                                     std::string_view tool) {
@@ -74,6 +79,7 @@ grpc::Status ControlService::permit(const grpc::ServerContext* context, std::str
   }
   const std::string full = fmt::format("{}/{}", v1::Control::service_full_name(), call);
   if (access::may_call(client->subject(), full, scene, tool)) return grpc::Status::OK;
+  registry_.refusals().count(Limit::kRole);
   const std::string_view role = access::kRoleNames[static_cast<std::size_t>(client->role)];
   if (const auto suppressed = refused_calls_.admit()) {
     log::warn("refused a call", {{"who", id},
@@ -344,6 +350,13 @@ grpc::Status ControlService::AdjustScene(grpc::ServerContext* context, const v1:
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
   return answer(registry_.adjust(request->scene(), request->changes()), response);
+}
+
+grpc::Status ControlService::GetMetrics(grpc::ServerContext* context, const v1::GetMetricsRequest*,
+                                        v1::GetMetricsResponse* response) {
+  if (const grpc::Status allowed = permit(context, "GetMetrics"); !allowed.ok()) return allowed;
+  response->set_text(metrics_());
+  return grpc::Status::OK;
 }
 
 }  // namespace tensormass::control

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <string>
 #include <string_view>
 
 #include "access/key_ring.h"
@@ -23,9 +24,10 @@ class ControlService final : public v1::Control::Service {
  public:
   /// `registry` must outlive the service. GetVersion answers `identity` with the current result of `malformed_count` in
   /// `malformed_messages`; `malformed_count` is called on gRPC's threads. keys: say who may call what (access/rules.h);
-  /// nullptr: everybody may call everything.
-  ControlService(SceneRegistry& registry, v1::GetVersionResponse identity,
-                 std::function<std::uint64_t()> malformed_count, const access::KeyRing* keys = nullptr);
+  /// nullptr: everybody may call everything. metrics: returns the answer of GetMetrics; called on gRPC's threads.
+  ControlService(
+      SceneRegistry& registry, v1::GetVersionResponse identity, std::function<std::uint64_t()> malformed_count,
+      const access::KeyRing* keys = nullptr, std::function<std::string()> metrics = [] { return std::string(); });
 
   grpc::Status GetVersion(grpc::ServerContext*, const v1::GetVersionRequest*, v1::GetVersionResponse*) override;
   grpc::Status LoadScene(grpc::ServerContext*, const v1::LoadSceneRequest*, v1::LoadSceneResponse*) override;
@@ -52,6 +54,7 @@ class ControlService final : public v1::Control::Service {
                              v1::SnapshotSceneResponse*) override;
   grpc::Status RestoreScene(grpc::ServerContext*, const v1::RestoreSceneRequest*, v1::RestoreSceneResponse*) override;
   grpc::Status AdjustScene(grpc::ServerContext*, const v1::AdjustSceneRequest*, v1::AdjustSceneResponse*) override;
+  grpc::Status GetMetrics(grpc::ServerContext*, const v1::GetMetricsRequest*, v1::GetMetricsResponse*) override;
 
  private:
   /// Returns OK if the client's role may make a call of this service for a scene and a tool; the refusal otherwise.
@@ -63,10 +66,11 @@ class ControlService final : public v1::Control::Service {
   const v1::GetVersionResponse identity_;
   const std::function<std::uint64_t()> malformed_count_;
   const access::KeyRing* const keys_;
+  const std::function<std::string()> metrics_;
   log::Limiter refused_calls_;
-  CallShare long_calls_{limits::kMaxLongCalls, "kMaxLongCalls"};
-  CallShare waiting_calls_{limits::kMaxWaitingCalls, "kMaxWaitingCalls"};
-  CallShare reset_calls_{limits::kMaxResetCalls, "kMaxResetCalls"};
+  CallShare long_calls_{limits::kMaxLongCalls, "kMaxLongCalls", registry_.refusals(), Limit::kLongCalls};
+  CallShare waiting_calls_{limits::kMaxWaitingCalls, "kMaxWaitingCalls", registry_.refusals(), Limit::kWaitingCalls};
+  CallShare reset_calls_{limits::kMaxResetCalls, "kMaxResetCalls", registry_.refusals(), Limit::kResetCalls};
 };
 
 }  // namespace tensormass::control

@@ -20,6 +20,7 @@ class SceneRegistry::Reservation {
                   fmt::format("a scene named '{}' is loaded; unload it first or give this one another name", name));
     }
     if (registry.scenes_.size() >= limits::kMaxScenes) {
+      registry.refusals_.count(Limit::kScenes);
       return fail(ErrorCode::kResourceExhausted,
                   fmt::format("limits::kMaxScenes = {} scenes are loaded; unload one", limits::kMaxScenes));
     }
@@ -51,7 +52,7 @@ class SceneRegistry::Reservation {
 
 SceneRegistry::SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal,
                              const AdmissionLimits& admission, double (*used_bytes)())
-    : options_(options), output_signal_(std::move(output_signal)), admission_(admission, used_bytes) {}
+    : options_(options), output_signal_(std::move(output_signal)), admission_(admission, used_bytes, &refusals_) {}
 
 Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene, const model::Progress& progress) {
   if (follower_ == nullptr) return load(scene, progress, [](const RunnerPtr&) {});

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "control/admission.h"
+#include "control/refusals.h"
 #include "core/result.h"
 #include "tensormass/v1/scene.pb.h"
 #include "world/runner.h"
@@ -88,6 +89,10 @@ class SceneRegistry {
   Result<RunnerPtr> find(std::string_view name) const;
   /// Every loaded scene, sorted by name.
   std::vector<RunnerPtr> list() const;
+  /// Refusals of the whole control plane, for metrics.
+  Refusals& refusals() { return refusals_; }
+  const Refusals& refusals() const { return refusals_; }
+  const AdmissionLimits& admission_limits() const { return admission_.limits(); }
   /// A number that grows with every load, unload and close. A reader that remembers it knows whether to call `list`.
   std::uint64_t generation() const { return generation_.load(std::memory_order_acquire); }
   /// Removes and cancels every scene, and refuses loads from then on, with kUnavailable. Scenes end when the caller
@@ -102,6 +107,7 @@ class SceneRegistry {
   const world::RunnerOptions options_;
   const std::function<void()> output_signal_;
   SceneFollower* follower_ = nullptr;  // nullptr: nobody is told
+  Refusals refusals_;
   Admission admission_;
   std::atomic<std::uint64_t> generation_{0};
   mutable std::shared_mutex mutex_;

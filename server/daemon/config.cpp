@@ -63,6 +63,17 @@ std::string check_zenoh(const std::string& text) {
   return text == kOff ? std::string() : check_host_and_port(text, "tcp/", false);
 }
 
+/// Nobody is asked for a key there, so other machines must not reach it.
+std::string check_metrics(const std::string& text) {
+  if (text == kOff) return {};
+  if (std::string wrong = check_host_and_port(text, "", false); !wrong.empty()) return wrong;
+  if (is_local_endpoint(text)) return {};
+  return fmt::format(
+      "other machines can reach '{}', and nobody is asked for a key there; give an address of this machine alone, as "
+      "127.0.0.1:9464, and let other machines scrape the gateway (docs/metrics.md)",
+      text);
+}
+
 /// CLI::Range takes NaN.
 std::string check_seconds(const std::string& text) {
   double seconds = 0;
@@ -172,6 +183,10 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   app.add_option("--zenoh-sessions", config.zenoh_sessions,
                  "Clients connected over zenoh at once; a further one is refused")
       ->check(CLI::Range(1u, limits::kMaxZenohSessions));
+  config.metrics = kOff;
+  app.add_option("--metrics", config.metrics,
+                 "/metrics for Prometheus, on this machine alone: HOST:PORT (0 for a free port), or off")
+      ->check(check_metrics);
   app.add_option(
       "--keys", config.keys,
       "Folder of `tensormass keys init`: who may connect, and do what. Needed where other machines can connect");
@@ -220,7 +235,8 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   }
   if (config.check_only) return finish(0, app.config_to_str(true, false));
 
-  for (std::string* endpoint : {&config.zeromq_publish, &config.zeromq_pose, &config.zenoh_listen, &config.health}) {
+  for (std::string* endpoint :
+       {&config.zeromq_publish, &config.zeromq_pose, &config.zenoh_listen, &config.health, &config.metrics}) {
     if (*endpoint == kOff) endpoint->clear();
   }
   config.backend = backends.at(backend);

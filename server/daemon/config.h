@@ -27,6 +27,8 @@ struct Config {
   std::string zenoh_listen = "tcp/127.0.0.1:7447";
   /// Clients connected over zenoh at once.
   std::uint32_t zenoh_sessions = limits::kDefaultZenohSessions;
+  /// HOST:PORT of /metrics for Prometheus, on this machine alone. Empty: there is none; users write "off".
+  std::string metrics;
   /// What scenes may take (control/admission.h). 0: the default.
   std::uint64_t max_scene_mib = 0;
   std::uint64_t max_memory_mib = 0;

@@ -12,6 +12,7 @@
 #include <fmt/format.h>
 
 #include "core/state_limits.h"
+#include "metrics/daemon_metrics.h"
 
 namespace tensormass::daemon {
 namespace {
@@ -38,6 +39,7 @@ Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config, const Proces
                         {"zeromq_pose", identity.zeromq_pose_endpoint()},
                         {"zenoh", identity.zenoh_locator()},
                         {"health", daemon->health_ ? daemon->health_->endpoint() : ""},
+                        {"metrics", daemon->metrics_endpoint()},
                         {"keys", config.keys}});
   return daemon;
 }
@@ -99,12 +101,18 @@ Result<void> Daemon::open(const Config& config, const Process& process) {
   if (keeper_) keeper_->bring_back(registry_, process.stop_asked);
   const auto on_refused = [this](std::string_view why) {
     ++refused_connections_;
+    registry_.refusals().count(control::Limit::kControlConnection);
     note_malformed({}, fmt::format("{}, on the control endpoint; its connection was closed", why));
   };
-  TM_ASSIGN_OR_RETURN(
-      server, control::ControlServer::start(
-                  config.control, registry_, identity_, [this] { return malformed_count(); }, on_refused, keys_.get()));
+  TM_ASSIGN_OR_RETURN(server, control::ControlServer::start(
+                                  config.control, registry_, identity_, [this] { return malformed_count(); },
+                                  on_refused, keys_.get(), [this] { return metrics_text(); }));
   server_ = std::move(server);
+  if (!config.metrics.empty()) {
+    TM_ASSIGN_OR_RETURN(metrics, metrics::MetricsServer::start(
+                                     config.metrics, [this] { return metrics_text(); }, &is_local_endpoint));
+    metrics_ = std::move(metrics);
+  }
   if (keys_) keys_->follow([this] { return bus_->keys_changed(); });
   set_health("ready", true);
   vitals_.emplace(Vitals::Watched{.manager = process.manager,
@@ -129,6 +137,7 @@ Daemon::~Daemon() {
   if (keeper_) keeper_->take_last(limits::kLastStateTime);
   std::vector<control::RunnerPtr> ending = registry_.close();
   publisher_.reset();
+  metrics_.reset();
   if (keys_) keys_->stop();
   server_.reset();
   ending.clear();
@@ -160,6 +169,10 @@ void Daemon::note_malformed(std::string_view scene, std::string_view reason) {
 
 std::uint64_t Daemon::malformed_count() const { return bus_->malformed_count() + refused_connections_; }
 
+std::string Daemon::metrics_text() const {
+  return metrics::to_text(metrics::read_metrics(registry_, identity_, malformed_count()));
+}
+
 namespace {
 /// Returns 0 if there is no such file.
 std::uint64_t inode_of(const std::string& path) {
@@ -186,7 +199,8 @@ Result<ReadyFile> ReadyFile::write(const std::string& asked, const Daemon& daemo
            {"control", daemon.control_endpoint()},
            {"zeromq_publish", identity.zeromq_publish_endpoint()},
            {"zeromq_pose", identity.zeromq_pose_endpoint()},
-           {"zenoh", identity.zenoh_locator()}}) {
+           {"zenoh", identity.zenoh_locator()},
+           {"metrics", daemon.metrics_endpoint()}}) {
     json += fmt::format(", {}: {}", log::json_quoted(key), log::json_quoted(value));
   }
   json += "}\n";

@@ -5,6 +5,8 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <string>
+#include <string_view>
 
 #include "access/key_ring.h"
 #include "bus/bus.h"
@@ -17,6 +19,7 @@
 #include "daemon/service_manager.h"
 #include "daemon/state_keeper.h"
 #include "daemon/vitals.h"
+#include "metrics/metrics_server.h"
 #include "tensormass/v1/control.pb.h"
 
 namespace tensormass::daemon {
@@ -32,6 +35,7 @@ namespace tensormass::daemon {
 ///     publisher               mailboxes -> bus (publisher.h)               the loops' signal
 ///     keeper, one per scene   snapshots -> files (state_keeper.h)          its clock, the scene's loop, the disk
 ///     vitals                  whether all of them turn (vitals.h)          its clock
+///     metrics                 GET /metrics (metrics/metrics_server.h)      its sockets
 ///     ZeroMQ's receiver       poses -> receive_pose                        its sockets
 ///     zenoh's threads         poses -> receive_pose                        their sockets
 ///
@@ -58,17 +62,20 @@ class Daemon {
   /// 1. The health service answers NOT_SERVING. Last states of the scenes are taken, in limits::kLastStateTime at most.
   ///    The registry refuses loads and cancels running steps.
   /// 2. The publisher sends zero forces and stops: hands are released before anything that may take long.
-  /// 3. The key ring stops, after a session of zenoh that it may be opening.
-  /// 4. The gRPC server lets running calls end, then cancels them.
-  /// 5. The loops of the scenes are joined, which takes up to a step each.
-  /// 6. The last states are written.
-  /// 7. The transports send what is queued and close.
+  /// 3. /metrics closes.
+  /// 4. The key ring stops, after a session of zenoh that it may be opening.
+  /// 5. The gRPC server lets running calls end, then cancels them.
+  /// 6. The loops of the scenes are joined, which takes up to a step each.
+  /// 7. The last states are written.
+  /// 8. The transports send what is queued and close.
   ~Daemon();
 
   /// The answer of GetVersion, except for its count of malformed messages.
   const v1::GetVersionResponse& identity() const { return identity_; }
   /// HOST:PORT of gRPC, with the port that was chosen.
   const std::string& control_endpoint() const { return server_->endpoint(); }
+  /// HOST:PORT of /metrics; empty if it is off.
+  std::string_view metrics_endpoint() const { return metrics_ ? metrics_->endpoint() : std::string_view(); }
 
  private:
   Daemon(const Config& config, const world::BackendDescription& backend);
@@ -82,6 +89,8 @@ class Daemon {
   void note_malformed(std::string_view scene, std::string_view reason);
   /// Malformed messages on the data plane, plus connections refused on the control port.
   std::uint64_t malformed_count() const;
+  /// The answer of GetMetrics and of /metrics.
+  std::string metrics_text() const;
 
   v1::GetVersionResponse identity_;
   WakeUp wake_up_;
@@ -96,6 +105,7 @@ class Daemon {
   std::unique_ptr<control::HealthServer> health_;  // nullptr: only the control endpoint answers for health
   std::unique_ptr<control::ControlServer> server_;
   std::optional<Vitals> vitals_;
+  std::unique_ptr<metrics::MetricsServer> metrics_;  // nullptr: it is off
 };
 
 /// A JSON file with the daemon's endpoints, for launchers that wait until it appears.
@@ -105,7 +115,8 @@ class Daemon {
 /// stays.
 class ReadyFile {
  public:
-  /// Writes {"pid", "version", "server", "backend", "device", "control", "zeromq_publish", "zeromq_pose", "zenoh"}. An
+  /// Writes {"pid", "version", "server", "backend", "device", "control", "zeromq_publish", "zeromq_pose", "zenoh",
+  /// "metrics"}. An
   /// endpoint that is turned off is "". Fails with kInvalidArgument if `path` exists and is not a regular file, and
   /// with kUnavailable if the file cannot be written.
   static Result<ReadyFile> write(const std::string& path, const Daemon& daemon);

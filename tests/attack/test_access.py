@@ -70,7 +70,7 @@ def test_the_table_has_every_call_and_key_and_no_other() -> None:
 def test_rights_that_no_role_but_the_operators_may_have() -> None:
     """A second look at the table: what changes a scene is the operators' alone, and a pose is a hand's, too."""
     reads = {"GetVersion", "ListScenes", "GetStatus", "GetTopology", "GetFrame", "GetFeedback", "GetPositions"}
-    reads |= {"GetFields", "RecordScene", "SnapshotScene"}
+    reads |= {"GetFields", "RecordScene", "SnapshotScene", "GetMetrics"}
     for call, row in CALLS.items():
         assert row["operator"] == "ALL"
         if call.split("/")[1] not in reads:
@@ -182,6 +182,18 @@ def test_every_call_is_let_in_or_refused_by_its_role(one: Guarded, role: str) ->
             if not let_in:
                 assert f"{method} is not for the role {role}" in details
                 assert "docs/security.md" in details
+
+
+def test_refusals_by_a_role_are_counted(one: Guarded) -> None:
+    def refused() -> int:
+        with one.stub(one.keys["metrics"]) as stub:
+            text = stub.GetMetrics(control_pb2.GetMetricsRequest(), timeout=DEADLINE_S).text
+        return int(re.findall(r'^tensormass_refusals_total{limit="role"} (\d+)$', text, re.MULTILINE)[0])
+
+    before = refused()
+    with one.stub(one.keys["viewer"]) as stub, pytest.raises(grpc.RpcError, match="not for the role viewer"):
+        stub.GetMetrics(control_pb2.GetMetricsRequest(), timeout=DEADLINE_S)
+    assert refused() == before + 1
 
 
 def key_of(what: str, scene: str) -> str:

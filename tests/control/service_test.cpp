@@ -34,7 +34,8 @@ class ServiceTest : public testing::Test {
 
   Result<std::unique_ptr<ControlServer>> start(const std::string& address) {
     return ControlServer::start(
-        address, registry, identity(), [] { return std::uint64_t{7}; }, [this](std::string_view) { ++refused; });
+        address, registry, identity(), [] { return std::uint64_t{7}; }, [this](std::string_view) { ++refused; },
+        nullptr, [] { return std::string("x 1\n"); });
   }
 
   static v1::GetVersionResponse identity() {
@@ -86,6 +87,12 @@ class ServiceTest : public testing::Test {
 };
 
 using Stub = v1::Control::Stub;
+
+TEST_F(ServiceTest, GetMetricsReturnsTheText) {
+  v1::GetMetricsResponse response;
+  ASSERT_TRUE(call(&Stub::GetMetrics, v1::GetMetricsRequest(), response).ok());
+  EXPECT_EQ(response.text(), "x 1\n");
+}
 
 TEST_F(ServiceTest, GetVersionReturnsTheIdentity) {
   v1::GetVersionResponse response;

@@ -89,6 +89,19 @@ TEST(Daemon, ReportsEveryEndpointOnceItServes) {
     EXPECT_NE(daemon.endpoint(name).find("127.0.0.1:"), std::string::npos) << daemon.endpoint(name);
   }
   EXPECT_EQ(version.malformed_messages(), 0u);
+  EXPECT_EQ(daemon.endpoint("metrics"), "");
+}
+
+TEST(Daemon, ReportsItsEndpointOfMetricsAndNamesOneThatIsTaken) {
+  DaemonProcess daemon({"--metrics", "localhost:0"});
+  const std::string endpoint = daemon.endpoint("metrics");
+  EXPECT_TRUE(endpoint.starts_with("localhost:") && endpoint != "localhost:0") << endpoint;
+  Process second({TENSORMASSD, "--backend", "cpu", "--control", "127.0.0.1:0", "--zeromq-publish", "off",
+                  "--zeromq-pose", "off", "--zenoh-listen", "off", "--metrics", endpoint},
+                 daemon.folder / "second");
+  EXPECT_EQ(second.wait(), 1);
+  const std::string log = read_file(daemon.folder / "second");
+  EXPECT_NE(log.find(endpoint), std::string::npos) << log;
 }
 
 TEST(Daemon, HasNoEndpointForATransportThatIsOff) {

@@ -27,6 +27,7 @@ TEST(Settings, BindLoopbackByDefault) {
   EXPECT_TRUE(has_line(outcome.output, "zeromq-publish=\"tcp://127.0.0.1:50052\"")) << outcome.output;
   EXPECT_TRUE(has_line(outcome.output, "zeromq-pose=\"tcp://127.0.0.1:50053\"")) << outcome.output;
   EXPECT_TRUE(has_line(outcome.output, "zenoh-listen=\"tcp/127.0.0.1:7447\"")) << outcome.output;
+  EXPECT_TRUE(has_line(outcome.output, "metrics=\"off\"")) << outcome.output;
 }
 
 TEST(Settings, FlagsOverrideTheEnvironmentWhichOverridesTheFile) {
@@ -71,6 +72,9 @@ TEST(Settings, AnInvalidSettingIsRefusedByName) {
       {{"--zeromq-publish", "udp://127.0.0.1:1"}, "--zeromq-publish"},
       {{"--zeromq-pose", "off"}, "--zeromq-pose"},
       {{"--zenoh-listen", "127.0.0.1:7447"}, "--zenoh-listen"},
+      {{"--metrics", "9464"}, "--metrics"},
+      {{"--metrics", "0.0.0.0:9464"}, "other machines can reach '0.0.0.0:9464'"},
+      {{"--metrics", "[::]:9464"}, "let other machines scrape the gateway"},
       {{"--server-name", "a/b"}, "--server-name"},
       {{"--max-state-mib", "0"}, "--max-state-mib"},
       {{"--health", "localhost"}, "--health"},

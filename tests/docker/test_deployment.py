@@ -26,7 +26,11 @@ def shell_default(text: str) -> str:
 
 
 #: Files of Compose, by what they are for.
-COMPOSE = {"compose": ("compose.yaml", "compose.gpu.yaml"), "compose with keys": ("compose.yaml", "compose.keys.yaml")}
+COMPOSE = {
+    "compose": ("compose.yaml", "compose.gpu.yaml"),
+    "compose with keys": ("compose.yaml", "compose.keys.yaml"),
+    "compose with metrics": ("compose.yaml", "compose.metrics.yaml"),
+}
 SOURCES = [*COMPOSE, "kubernetes"]
 
 
@@ -129,7 +133,17 @@ def test_dockerfile_copies_what_exists() -> None:
         assert (ROOT / source).exists(), f"{source} is not in the repository"
 
 
-@pytest.mark.parametrize("file", ["compose.yaml", "compose.gpu.yaml", "compose.keys.yaml"])
+def test_prometheus_scrapes_the_address_of_the_daemon_and_has_its_rules() -> None:
+    configuration = yaml.safe_load((DOCKER / "prometheus.yaml").read_text())
+    assert [job["static_configs"] for job in configuration["scrape_configs"]] == [
+        [{"targets": [compose_service("server", "compose with metrics")["environment"]["TENSORMASS_METRICS"]]}]
+    ]
+    mounted = {volume.split(":")[0] for volume in compose_service("prometheus", "compose with metrics")["volumes"]}
+    assert {f"./{file}" for file in ("prometheus.yaml", *configuration["rule_files"])} <= mounted
+    assert all((DOCKER / file).exists() for file in mounted if file.startswith("./"))
+
+
+@pytest.mark.parametrize("file", ["compose.yaml", "compose.gpu.yaml", "compose.keys.yaml", "compose.metrics.yaml"])
 def test_compose_builds_targets_and_arguments_that_the_dockerfile_has(file: str) -> None:
     dockerfile = (DOCKER / "Dockerfile").read_text()
     targets = set(re.findall(r"^FROM \S+ AS (\w+)$", dockerfile, re.MULTILINE))

@@ -76,6 +76,8 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         self.commands: list[Message] = []
         #: Makes every call that changes a scene fail with this text; empty: they succeed.
         self.refusal = ""
+        #: Answer to GetMetrics.
+        self.metrics = ""
         #: Holds every call that changes a scene until it is set.
         self.released = asyncio.Event()
         self.released.set()
@@ -140,6 +142,11 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
             zeromq_publish_endpoint=f"tcp://127.0.0.1:{self.endpoints.publish}" if self.publishes else "",
             zeromq_pose_endpoint=f"tcp://127.0.0.1:{self.endpoints.pose}",
         )
+
+    async def GetMetrics(  # noqa: N802
+        self, request: control_pb2.GetMetricsRequest, context: Call
+    ) -> control_pb2.GetMetricsResponse:
+        return control_pb2.GetMetricsResponse(text=self.metrics)
 
     async def ListScenes(  # noqa: N802
         self, request: control_pb2.ListScenesRequest, context: Call

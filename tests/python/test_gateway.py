@@ -493,8 +493,8 @@ def test_arguments_stay_on_loopback_unless_told_otherwise() -> None:
 
 
 def test_arguments_reach_the_gateway(viewer: Path, tmp_path: Path) -> None:
-    token, operator_token = tmp_path / "token", tmp_path / "operator-token"
-    for file, content in ((token, "t"), (operator_token, "o\n")):
+    token, operator_token, metrics_token = (tmp_path / name for name in ("token", "operator-token", "metrics-token"))
+    for file, content in ((token, "t"), (operator_token, "o\n"), (metrics_token, "m\n")):
         file.touch(mode=0o600)
         file.write_text(content)
     parser = argparse.ArgumentParser()
@@ -508,6 +508,8 @@ def test_arguments_reach_the_gateway(viewer: Path, tmp_path: Path) -> None:
         str(token),
         "--operator-token-file",
         str(operator_token),
+        "--metrics-token-file",
+        str(metrics_token),
         "--max-browsers",
         "3",
         "--allow-poses",
@@ -519,6 +521,7 @@ def test_arguments_reach_the_gateway(viewer: Path, tmp_path: Path) -> None:
         port=8000,
         token="t",
         operator_token="o",
+        metrics_token="m",
         max_browsers=3,
         origins=("http://a:1", "http://b"),
         allow_poses=True,

@@ -65,6 +65,7 @@ case $call in
     for word in "${@:2}"; do [[ $word == -* ]] || echo "$word" >>"$STATE/packages"; done
     if [[ $call == *cargo-web* ]]; then make cargo rustc; echo "$CANDIDATE" >"$STATE/rust"; fi
     ;;
+  apt-get\ download*) if [[ -z $fails ]]; then touch prometheus_2.42.deb; fi ;;
   apt-cache\ policy*) printf '%s:\n  Installed: (none)\n  Candidate: %s\n' "$2" "$CANDIDATE" ;;
   dpkg-query\ -S*) [[ $DEBIANS_RUST == yes ]] || exit 1 ;;
   dpkg-query*) if [[ -f $STATE/packages ]]; then sed 's/^/ii /' "$STATE/packages"; fi ;;
@@ -95,7 +96,7 @@ case $call in
 esac
 end
 """
-STAND_INS = ["apt-get", "apt-cache", "dpkg-query", "python3", "sudo", "nvcc", "ln"]
+STAND_INS = ["apt-get", "apt-cache", "dpkg-deb", "dpkg-query", "python3", "sudo", "nvcc", "ln"]
 
 # A command that fails, for each step that the script runs: step, pattern of the command.
 FAILURES = [
@@ -112,6 +113,9 @@ FAILURES = [
     ("python", r"^python -m pip install .*--require-hashes .*requirements-build"),
     ("python", r"^python -m pip install .*--no-deps --no-build-isolation --editable .*\[build"),
     ("python-dev", r"^python -m pip install .*--editable .*\[dev"),
+    ("prometheus", "^apt-get download .*prometheus"),
+    ("prometheus", r"^dpkg-deb --extract prometheus_2\.42\.deb"),
+    ("prometheus", "^ln .*promtool"),
     ("web", "^node .*npm-cli.js ci"),
     ("docs", "^python -m pip install .*docs/site/requirements.txt"),
 ]

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from aiohttp import web
 
 from tensormass_gateway.connections import Connection
-from tensormass_gateway.entry import Entry
+from tensormass_gateway.entry import Entry, same
 from tensormass_gateway.journal import Journal
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.origins import origin_of
@@ -26,6 +26,8 @@ MIN_TOKEN_CHARACTERS = 16
 """A shorter token is refused at the start, because it can be guessed. Those that are made here have 32."""
 
 _NOT_LET_IN = "the token is missing or wrong; use the address that was printed\n"
+
+_NO_SCRAPER = "the token is missing or wrong; send `Authorization: Bearer` with that of --metrics-token-file\n"
 
 _HEADERS = {
     # WebAssembly decodes frames of the codec meshopt.
@@ -42,7 +44,11 @@ _HEADERS = {
 
 def check_tokens(options: GatewayOptions) -> None:
     """Raises ValueError for a token that can be guessed. Never says the token: the message may end in a log."""
-    for option, token in (("--token-file", options.token), ("--operator-token-file", options.operator_token)):
+    for option, token in (
+        ("--token-file", options.token),
+        ("--operator-token-file", options.operator_token),
+        ("--metrics-token-file", options.metrics_token),
+    ):
         if len(token) < MIN_TOKEN_CHARACTERS:
             raise ValueError(
                 f"{option} has {len(token)} characters; a token that nobody guesses has {MIN_TOKEN_CHARACTERS} or "
@@ -122,6 +128,17 @@ class Admission:
         """Refuses a request that has neither a token nor the cookie of a session."""
         if self.entry.role_of(request) is None:
             self._refuse(request, web.HTTPForbidden(text=_NOT_LET_IN))
+
+    def check_scraper(self, request: web.Request) -> None:
+        """Refuses a request that has neither a token in `Authorization: Bearer` nor what `check_token` takes."""
+        scheme, _, token = request.headers.get("Authorization", "").partition(" ")
+        if scheme.lower() == "bearer":
+            token = token.strip()
+            if same(token, self._options.metrics_token) or self.entry.role_of_token(token) is not None:
+                return
+        elif self.entry.role_of(request) is not None:
+            return
+        self._refuse(request, web.HTTPForbidden(text=_NO_SCRAPER))
 
     def is_operator(self, request: web.Request) -> bool:
         """Tells whether a request has the operators' token, or the cookie that a page got for it."""

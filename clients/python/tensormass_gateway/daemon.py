@@ -90,6 +90,15 @@ class Daemon:
                 else:
                     self._lose(f"the daemon on {self._address} publishes nothing over ZeroMQ (--zeromq-publish)")
 
+    async def metrics(self) -> str:
+        """Returns what Prometheus scrapes of the daemon; empty if it does not tell."""
+        try:
+            answer = await self.control.GetMetrics(control_pb2.GetMetricsRequest(), timeout=RPC_TIMEOUT_S)
+        except grpc.aio.AioRpcError as error:
+            log.info("no metrics of the daemon on %s: %s", self._address, error.details())
+            return ""
+        return answer.text
+
     async def close(self) -> None:
         """Closes every feed and connection."""
         for feed in self._feeds.values():

@@ -49,6 +49,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import json
 import logging
 import time
@@ -59,7 +60,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from tensormass._src import demo
 from tensormass.v1 import scene_pb2
-from tensormass_gateway import connections
+from tensormass_gateway import connections, metrics
 from tensormass_gateway.admission import Admission, check_tokens, checked
 from tensormass_gateway.budget import Turns
 from tensormass_gateway.choice import Choice, ChoiceError, choice_of
@@ -113,6 +114,8 @@ class Browser(Watcher):
         self.socket = socket
         self.connection = connection
         self.operator = operator
+        self.place = 0
+        """Number of the browser among those that are connected, from 0. The next one takes it over."""
         self.commands: set[asyncio.Task[None]] = set()
         """Commands that are not answered yet."""
         self._states: dict[str, dict[str, Any]] = {}
@@ -232,6 +235,19 @@ class Gateway:
             "malformed_messages": self._daemon.malformed,
         }
 
+    async def metrics(self) -> str:
+        """Returns the text of `/metrics`: the daemon's, then the gateway's own."""
+        daemon = await self._daemon.metrics()
+        counts = metrics.Counts(
+            daemon_up=bool(daemon),
+            replaced_frames={browser.place: browser.outbox.replaced for browser in self._browsers},
+            max_browsers=self.options.max_browsers,
+            refused_connections=self._admission.refused_connections,
+            closed_for_errors=self.closed_for_errors,
+            malformed_messages=self._daemon.malformed,
+        )
+        return daemon + metrics.to_text(counts)
+
     def _address(self, name: str, value: str) -> str:
         host = f"[{self.options.host}]" if ":" in self.options.host else self.options.host
         scheme = "http" if self.options.page is None else "https"
@@ -248,6 +264,7 @@ class Gateway:
                 web.post("/stream", self._ask_admission),
                 web.post("/enter", self._enter),
                 web.get("/status", self._status),
+                web.get("/metrics", self._metrics),
                 web.static("/assets", self.options.viewer / "assets"),
             ]
         )
@@ -297,6 +314,11 @@ class Gateway:
         self._admission.check_token(request)
         return web.json_response(self.stats(), headers={"Cache-Control": "no-store"})
 
+    async def _metrics(self, request: web.Request) -> web.Response:
+        self._admission.check_scraper(request)
+        headers = {"Content-Type": metrics.CONTENT_TYPE, "Cache-Control": "no-store"}
+        return web.Response(body=(await self.metrics()).encode(), headers=headers)
+
     async def _ask_admission(self, request: web.Request) -> web.Response:
         self._admission.check(request, len(self._browsers))
         _choice_of(request)
@@ -312,6 +334,8 @@ class Gateway:
         assert isinstance(connection, Connection)
         connection.become_viewer()
         browser = Browser(socket, connection, choice, operator=self._admission.is_operator(request))
+        taken = {each.place for each in self._browsers}
+        browser.place = next(place for place in itertools.count() if place not in taken)
         # Counts the browser before the handshake, so that no burst passes the limit.
         self._browsers.add(browser)
         senders: list[asyncio.Task[None]] = []

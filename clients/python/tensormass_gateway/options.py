@@ -34,6 +34,8 @@ class GatewayOptions:
     """Token of those who look."""
     operator_token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     """Token of those who also control scenes."""
+    metrics_token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+    """Token of Prometheus, which reads `/metrics` and nothing else."""
     max_browsers: int = 16
     origins: tuple[str, ...] = ()
     """Origins that may connect in addition to the gateway's own pages."""
@@ -59,6 +61,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="FILE",
             help=f"holds what a browser must know to {does}: 16 characters or more (default: random)",
         )
+    parser.add_argument(
+        "--metrics-token-file",
+        type=_token_argument,
+        metavar="FILE",
+        help="holds what Prometheus must know to read /metrics (default: random; the two tokens above do, too)",
+    )
     parser.add_argument("--max-browsers", type=int, default=16, help="browsers at once (default: %(default)s)")
     parser.add_argument(
         "--origin",
@@ -89,7 +97,11 @@ def options_from(args: argparse.Namespace, control: str, *, daemon_has_keys: boo
         daemon_has_keys: whether --keys are for the daemon too, or for the page alone.
     """
     keys = keys_of(getattr(args, "keys", None))
-    tokens = {"token": args.token_file, "operator_token": args.operator_token_file}
+    tokens = {
+        "token": args.token_file,
+        "operator_token": args.operator_token_file,
+        "metrics_token": args.metrics_token_file,
+    }
     return GatewayOptions(
         control=control,
         host=args.host,

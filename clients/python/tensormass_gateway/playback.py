@@ -93,6 +93,10 @@ class Playback:
     async def close(self) -> None:
         self._streams.close()
 
+    async def metrics(self) -> str:
+        """Returns nothing: a recording has no daemon."""
+        return ""
+
     def watch(self, watcher: Watcher, scene: str) -> None:
         """Moves `watcher` to `scene`. Another scene than the recorded one has no streams."""
         self._streams.watchers.discard(watcher)
