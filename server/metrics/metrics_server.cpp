@@ -34,6 +34,7 @@ constexpr std::chrono::milliseconds kAcceptPause{100};
 struct Answers {
   std::function<std::string()> text;
   std::function<bool(std::string_view)> is_own;
+  std::chrono::milliseconds time;
 };
 
 http::response<http::string_body> answer(const http::request<http::empty_body>& request, const Answers& answers) {
@@ -70,7 +71,7 @@ class Session : public std::enable_shared_from_this<Session> {
   }
 
   void start() {
-    stream_.expires_after(limits::kMaxMetricsTime);
+    stream_.expires_after(answers_.time);
     http::async_read_header(stream_, buffer_, parser_, [self = shared_from_this()](Failure failure, std::size_t) {
       if (!failure) self->send();
     });
@@ -80,7 +81,7 @@ class Session : public std::enable_shared_from_this<Session> {
  private:
   void send() {
     response_ = answer(parser_.get(), answers_);
-    stream_.expires_after(limits::kMaxMetricsTime);
+    stream_.expires_after(answers_.time);
     http::async_write(stream_, response_, [self = shared_from_this()](Failure, std::size_t) {
       Failure ignored;
       self->stream_.socket().shutdown(asio::ip::tcp::socket::shutdown_send, ignored);
@@ -141,7 +142,8 @@ struct MetricsServer::Parts {
 
 Result<std::unique_ptr<MetricsServer>> MetricsServer::start(const std::string& address,
                                                             std::function<std::string()> text,
-                                                            std::function<bool(std::string_view)> is_own) {
+                                                            std::function<bool(std::string_view)> is_own,
+                                                            std::chrono::milliseconds time) {
   const auto cannot_listen = [&](const std::string& why) {
     return fail(ErrorCode::kUnavailable,
                 fmt::format("cannot listen on '{}' for --metrics: {}; give another HOST:PORT, or port 0 for a free one",
@@ -156,7 +158,7 @@ Result<std::unique_ptr<MetricsServer>> MetricsServer::start(const std::string& a
   const auto ip = asio::ip::make_address(host, failure);
   if (failure) return cannot_listen(failure.message());
   const auto port = static_cast<std::uint16_t>(std::strtoul(address.c_str() + colon + 1, nullptr, 10));
-  std::unique_ptr<Parts> parts(new Parts{.answers = {std::move(text), std::move(is_own)}});
+  std::unique_ptr<Parts> parts(new Parts{.answers = {std::move(text), std::move(is_own), time}});
   asio::ip::tcp::acceptor& acceptor = parts->acceptor;
   const asio::ip::tcp::endpoint wanted(ip, port);
   acceptor.open(wanted.protocol(), failure);

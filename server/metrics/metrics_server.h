@@ -1,10 +1,12 @@
 #pragma once
 
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <string>
 #include <string_view>
 
+#include "core/metrics_limits.h"
 #include "core/result.h"
 
 namespace tensormass::metrics {
@@ -23,8 +25,10 @@ class MetricsServer {
   ///   text()         returns what is answered; called on the server's thread for each scrape
   ///   is_own(host)   whether a Host header names this machine. A page in a browser may let its name lead here (DNS
   ///                  rebinding), and would read what is answered
+  ///   time           as limits::kMaxMetricsTime
   static Result<std::unique_ptr<MetricsServer>> start(const std::string& address, std::function<std::string()> text,
-                                                      std::function<bool(std::string_view host)> is_own);
+                                                      std::function<bool(std::string_view host)> is_own,
+                                                      std::chrono::milliseconds time = limits::kMaxMetricsTime);
   /// Closes all connections and joins the thread.
   ~MetricsServer();
 

@@ -29,9 +29,12 @@ constexpr timeval kDeadline{60, 0};
 
 class MetricsServerTest : public testing::Test {
  protected:
-  MetricsServerTest() {
+  MetricsServerTest() { start(std::chrono::hours(1)); }
+
+  void start(std::chrono::milliseconds time) {
     auto started = MetricsServer::start(
-        "127.0.0.1:0", [this] { return text(); }, [](std::string_view host) { return host.starts_with("127.0.0.1"); });
+        "127.0.0.1:0", [this] { return text(); }, [](std::string_view host) { return host.starts_with("127.0.0.1"); },
+        time);
     if (!started) throw std::runtime_error(started.error().message);
     server = std::move(*started);
   }
@@ -116,14 +119,16 @@ TEST_F(MetricsServerTest, StrangersThatHoldConnectionsKeepNoScraperOut) {
   }
   EXPECT_TRUE(ask(kScrape).ends_with("x 1\n"));
   EXPECT_EQ(heard(strangers.front()), "") << "the oldest made room";
+  say(strangers.back(), "ics HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
+  EXPECT_TRUE(heard(strangers.back()).ends_with("x 1\n")) << "the newest is served";
 }
 
 TEST_F(MetricsServerTest, ClosesAConnectionThatSendsTooSlowly) {
+  server.reset();
+  start(std::chrono::milliseconds(100));
   const Descriptor slow = connected();
-  const auto begin = std::chrono::steady_clock::now();
   say(slow, "GET /metr");
   EXPECT_EQ(heard(slow), "");
-  EXPECT_LT(std::chrono::steady_clock::now() - begin, std::chrono::seconds(kDeadline.tv_sec));
 }
 
 TEST_F(MetricsServerTest, GoesOnAfterAnAnswerForWhichThereWasNoMemory) {

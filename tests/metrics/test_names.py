@@ -21,7 +21,9 @@ def promtool(*arguments: str | Path, text: str = "") -> None:
 
 def test_the_page_has_the_names_types_and_labels_of_the_baseline() -> None:
     rows = re.findall(r"^\| `(tensormass_\w+)` \| (\w+) \|([\w, ]*)\|", PAGE, re.MULTILINE)
-    page = {name: (kind, {label.strip() for label in labels.split(",") if label.strip()}) for name, kind, labels in rows}
+    page = {
+        name: (kind, {label.strip() for label in labels.split(",") if label.strip()}) for name, kind, labels in rows
+    }
     made = {name: (each.kind, set(each.labels) - {"le"}) for name, each in families(baseline()).items()}
     assert page == made
     assert len(rows) == len(page)
