@@ -5,7 +5,7 @@ import "./style.css";
 
 import { Address } from "./address";
 import { Commands } from "./commands";
-import { find } from "./dom";
+import { find, setText } from "./dom";
 import { Grid } from "./grid/grid";
 import { layOut } from "./grid/layout";
 import { MAX_TILES } from "./grid/plan";
@@ -23,7 +23,6 @@ import { loadSettings, type Settings } from "./panel/settings";
 import { Timeline } from "./panel/timeline";
 import type { Session } from "./stream/session";
 import type { Vector } from "./stream/decode";
-import type { Hand } from "./view/drag";
 import { QUALITIES, drawsInSoftware, qualityOf, type Level } from "./view/quality";
 import { QualityControl } from "./view/quality_control";
 import { Stage } from "./view/stage";
@@ -39,6 +38,8 @@ if (withoutSecrets !== null) {
 let settings = loadSettings();
 /** The scene that the panels follow. */
 let followed: { readonly session: Session; readonly scene: string | null } | null = null;
+/** The tile in which the pointer came over a tool, took it or left it last. */
+let under: Tile | null = null;
 
 const plots = new Plots();
 const toast = new Toast();
@@ -174,7 +175,7 @@ function showGrid(): void {
     display.offerFields(session.hasFields ? null : reason);
   }
   grid.tiles.forEach(showTile);
-  showHand("away");
+  showHand(grid.selected);
   showState();
 }
 
@@ -205,6 +206,7 @@ function showReadings(): void {
   hud.showReadings(session.readings());
   plots.draw(session.history);
   display.showQualityNote(quality.note());
+  showHand(under !== null && grid.tiles.includes(under) ? under : grid.selected);
   // For programs that measure the page: docs/viewer.md describes both.
   document.documentElement.dataset.framesPerSecond = quality.picturesPerSecond.toFixed(1);
   grid.tiles.forEach(showTile);
@@ -230,15 +232,16 @@ function toggleFilm(): void {
   film.toggle(grid.selected.fileName());
 }
 
-/** Shows what the pointer can do with the tool below it. */
-function showHand(hand: Hand): void {
+/** Shows what the pointer can do with the tool below it in a tile, and whose that tool is. */
+function showHand(tile: Tile): void {
+  under = tile;
   const { daemon } = grid.selected.session;
   const orbit = "Drag to orbit · right-drag to pan · wheel to zoom";
   const drag = daemon?.posesAllowed === true ? `Drag a tool to move it · ${orbit.toLowerCase()}` : orbit;
   const count = daemon?.scenes.length ?? 0;
   const some = count > MAX_TILES ? `${MAX_TILES} of ${count} scenes · ` : "";
   const idle = grid.on ? `${some}Click to select · double-click to see one alone` : drag;
-  find("#hint", HTMLElement).textContent = hand === "over" ? "Drag to move this tool" : hand === "holds" ? "The tool follows the pointer" : idle;
+  setText(find("#hint", HTMLElement), tile.handHint ?? idle);
 }
 
 function stateOf({ session, viewer }: Tile): object {

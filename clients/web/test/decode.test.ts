@@ -214,7 +214,11 @@ describe("decodeFrame", () => {
       jointValues: [],
       retired: false,
       recovering: false,
+      claimedBy: null,
     });
+    // The client of the newest pose claims nothing by that alone.
+    expect(decodeFrame(frameBytes({ tools: [{ tool: "p", clientId: 42n }] })).tools[0]?.claimedBy).toBeNull();
+    expect(decodeFrame(frameBytes({ tools: [{ tool: "p", clientId: 42n, claimed: true }] })).tools[0]?.claimedBy).toBe(42n);
     const recovering = decodeFrame(frameBytes({ tools: [{ tool: "p", recovering: true }] }));
     expect(recovering.tools[0]?.recovering).toBe(true);
     const unit = (w: number, x: number, y: number, z: number) =>

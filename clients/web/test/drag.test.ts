@@ -70,7 +70,19 @@ it("says whether the pointer is over a tool or holds one", () => {
   move(50);
   move(51);
   move(90);
-  expect(onHand.mock.calls).toEqual([["holds"], ["away"], ["over"], ["away"]]);
+  expect(onHand.mock.calls).toEqual([["holds", "probe"], ["away", null], ["over", "probe"], ["away", null]]);
+});
+
+it("says when the pointer goes from one tool to another", () => {
+  target.dispatchEvent(pointer("pointerup", 50));
+  const hook = probe();
+  hook.name = "hook";
+  hook.position.x = 1;
+  hook.updateMatrixWorld(true);
+  shapes.push(hook);
+  target.dispatchEvent(Object.assign(pointer("pointermove", 50), { buttons: 0 }));
+  target.dispatchEvent(Object.assign(pointer("pointermove", 76), { buttons: 0 }));
+  expect(onHand.mock.calls.slice(2)).toEqual([["over", "probe"], ["over", "hook"]]);
 });
 
 it("releases the tool when the pointer is cancelled", () => {

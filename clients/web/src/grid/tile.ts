@@ -7,7 +7,7 @@ import type { Settings } from "../panel/settings";
 import type { Vector } from "../stream/decode";
 import { Session } from "../stream/session";
 import { colourTable } from "../view/colouring";
-import type { Hand } from "../view/drag";
+import { hintOf, type Hand } from "../view/hand";
 import type { Stage } from "../view/stage";
 import { originFor } from "../view/tip";
 import { Viewer } from "../view/viewer";
@@ -21,7 +21,7 @@ export interface TileEvents {
   /** Called when a double-click asks for the tile alone. */
   onOpen(tile: Tile): void;
   /** Called when the pointer comes over a tool, takes it, or leaves it. */
-  onHand(hand: Hand): void;
+  onHand(tile: Tile): void;
 }
 
 export class Tile {
@@ -31,6 +31,7 @@ export class Tile {
   readonly #name: HTMLElement;
   readonly #recovery: HTMLElement;
   readonly #pill: HTMLElement;
+  #hand: { readonly hand: Hand; readonly tool: string | null } = { hand: "away", tool: null };
 
   constructor(stage: Stage, address: Address, settings: Settings, events: TileEvents) {
     const template = find("#tile", HTMLTemplateElement).content;
@@ -58,9 +59,10 @@ export class Tile {
     this.viewer = new Viewer(this.element, stage, this.session.store, settings, {
       onDrawn: (serverTimeNs, prepareMs, renderMs) => this.session.drawn(serverTimeNs, prepareMs, renderMs),
       onToolMoved: (tool, centerM) => this.#moveTool(tool, centerM),
-      onHand: (hand) => {
+      onHand: (hand, tool) => {
         this.element.dataset.hand = hand;
-        events.onHand(hand);
+        this.#hand = { hand, tool };
+        events.onHand(this);
       },
       onLegend: (meaning) => legend.show(meaning),
     });
@@ -82,6 +84,12 @@ export class Tile {
     this.#recovery.hidden = !this.session.recovering;
     this.element.tabIndex = inGrid ? 0 : -1;
     this.element.ariaCurrent = String(inGrid && selected);
+  }
+
+  /** The words for what the pointer does with a tool of this tile; null: nothing. */
+  get handHint(): string | null {
+    const state = this.session.store.frame?.tools.find(({ name }) => name === this.#hand.tool);
+    return state === undefined ? null : hintOf(this.#hand.hand, state.claimedBy);
   }
 
   setDisplay(settings: Settings): void {

@@ -132,6 +132,8 @@ export interface ToolState {
   readonly retired: boolean;
   /** Whether the step could not be made as planned: tools backed off, or the tissue was held. */
   readonly recovering: boolean;
+  /** The client that claims the tool, so that the poses of others are refused; null: none does. */
+  readonly claimedBy: bigint | null;
 }
 
 export interface Frame {
@@ -441,6 +443,7 @@ function toolState(where: string, tool: ToolFeedback): ToolState {
     jointValues: tool.jointValues.map((value, i) => finite(`${here}, joint_values[${i}]`, value)),
     retired: tool.retired,
     recovering: tool.recovering,
+    claimedBy: tool.claimed ? tool.clientId : null,
   };
 }
 

@@ -3,18 +3,16 @@
 import * as THREE from "three";
 
 import type { Vector } from "../stream/decode";
+import type { Hand } from "./hand";
 import type { Studio } from "./studio";
-
-/** What the pointer does with tools: nothing, it is over one, or it drags one. */
-export type Hand = "away" | "over" | "holds";
 
 export interface DragTarget {
   /** Shapes that can be dragged; `name` is the tool's name. A dragged shape that is no longer listed is released. */
   shapes(): THREE.Object3D[];
   /** Called for each move with the new centre of the sphere at the tip [m]. */
   onMove(tool: string, centerM: Vector): void;
-  /** Called when the pointer comes over a tool, takes it, or leaves it. */
-  onHand(hand: Hand): void;
+  /** Called when the pointer comes over a tool, takes it, or leaves it; then `tool` is null. */
+  onHand(hand: Hand, tool: string | null): void;
 }
 
 /** Listens to the element of a picture from now on. */
@@ -26,10 +24,11 @@ export function enableDrag(element: HTMLElement, studio: Studio, target: DragTar
   const grip = new THREE.Vector3();
   let held: THREE.Object3D | null = null;
   let shown: Hand = "away";
-  const show = (hand: Hand) => {
-    if (hand !== shown) {
-      shown = hand;
-      target.onHand(hand);
+  let shownTool: string | null = null;
+  const show = (hand: Hand, tool: string | null) => {
+    if (hand !== shown || tool !== shownTool) {
+      [shown, shownTool] = [hand, tool];
+      target.onHand(hand, tool);
     }
   };
 
@@ -52,7 +51,7 @@ export function enableDrag(element: HTMLElement, studio: Studio, target: DragTar
         grip.sub(caster.ray.intersectPlane(plane, hit) ?? grip);
         studio.controls.enabled = false;
         element.setPointerCapture(event.pointerId);
-        show("holds");
+        show("holds", taken.object.name);
       }
     },
     // Handled before the orbit controls.
@@ -61,11 +60,12 @@ export function enableDrag(element: HTMLElement, studio: Studio, target: DragTar
   const release = () => {
     held = null;
     studio.controls.enabled = true;
-    show("away");
+    show("away", null);
   };
   const hover = (event: PointerEvent) => {
     aim(event);
-    show(caster.intersectObjects(target.shapes(), false).length > 0 ? "over" : "away");
+    const below = caster.intersectObjects(target.shapes(), false)[0]?.object.name ?? null;
+    show(below === null ? "away" : "over", below);
   };
   element.addEventListener("pointermove", (event) => {
     if (held === null && event.buttons === 0) {

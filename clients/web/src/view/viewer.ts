@@ -7,7 +7,8 @@ import type { Frame, Topology, Vector } from "../stream/decode";
 import type { Settings } from "../panel/settings";
 import { sceneBounds } from "./bounds";
 import { KINDS, displacements, fitRange, legendOf, type Legend, type Range } from "./colouring";
-import { enableDrag, type Hand } from "./drag";
+import { enableDrag } from "./drag";
+import type { Hand } from "./hand";
 import { Instruments, type ForceLabel } from "./instruments";
 import { Rulers } from "./rulers";
 import type { Picture, Stage } from "./stage";
@@ -25,8 +26,8 @@ export interface ViewerEvents {
   onDrawn(serverTimeNs: bigint, prepareMs: number, renderMs: number): void;
   /** Called while the pointer drags a tool: new centre of its sphere [m]. */
   onToolMoved(tool: string, positionM: Vector): void;
-  /** Called when the pointer comes over a tool, takes it, or leaves it. */
-  onHand(hand: Hand): void;
+  /** Called when the pointer comes over a tool, takes it, or leaves it; then `tool` is null. */
+  onHand(hand: Hand, tool: string | null): void;
   /** Called when the colours mean something else; null: they are those of the tissue. */
   onLegend(legend: Legend | null): void;
 }
@@ -151,7 +152,7 @@ export class Viewer implements Picture {
       enableDrag(this.element, this.#studio, {
         shapes: () => this.#shapes(),
         onMove: (tool, center) => this.#events.onToolMoved(tool, center),
-        onHand: (hand) => this.#events.onHand(hand),
+        onHand: (hand, tool) => this.#events.onHand(hand, tool),
       });
     }
   }
