@@ -43,7 +43,7 @@ Advisory = dict[str, Any]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(allow_abbrev=False, description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--renew", action="store_true", help="write advisories.json anew")
     parser.add_argument("--osv", type=Path, action="append", default=[], help="folder with advisories in OSV's JSON")
     parser.add_argument("--rustsec", type=Path, help="clone of RustSec's database")

@@ -38,7 +38,7 @@ class ReleaseError(Exception):
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(allow_abbrev=False, description=__doc__.partition("\n")[0] if __doc__ else None)
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument("--check", action="store_true", help="only check the checkout")
     task.add_argument("--wheel", type=Path, metavar="FOLDER", help="folder of the wheel that make_wheel.py made")

@@ -42,7 +42,7 @@ tensormass-haptic = "tensormass_tools.programs:haptic"
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(allow_abbrev=False, description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--build", type=Path, default=ROOT / "build", help="build folder; its bin/ holds the programs")
     parser.add_argument("--viewer", type=Path, default=ROOT / "clients/web/dist", help="folder of the built viewer")
     parser.add_argument("--output", type=Path, required=True, help="folder for the wheel")

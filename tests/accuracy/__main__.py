@@ -20,7 +20,7 @@ from .engine import PRECISIONS, Engine
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m accuracy", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(allow_abbrev=False, prog="python -m accuracy", description=__doc__.splitlines()[0])
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--together", action="store_true", help="both precisions at a time, each on its own daemon")
     parser.add_argument("--only", default="", help="cases whose key holds this text; writes no results")

@@ -319,7 +319,9 @@ def outputs() -> dict[Path, str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m accuracy.calibration", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, prog="python -m accuracy.calibration", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--only", default="", metavar="PART", help="cases whose name contains it; writes no results")
     arguments = parser.parse_args()
     began = time.monotonic()

@@ -67,7 +67,7 @@ Row = dict[str, float | str]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="accuracy.contact_parts", description=__doc__)
+    parser = argparse.ArgumentParser(allow_abbrev=False, prog="accuracy.contact_parts", description=__doc__)
     parser.add_argument("--only", choices=tuple(GROUPS), help="the group that is measured")
     only = parser.parse_args().only
     began = time.monotonic()

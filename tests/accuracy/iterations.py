@@ -35,7 +35,7 @@ FALL_S = 0.45
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="accuracy.iterations", description=__doc__)
+    parser = argparse.ArgumentParser(allow_abbrev=False, prog="accuracy.iterations", description=__doc__)
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--cells", default="80,160,320", help="cells along the beam: 80, 160, 320")
     parser.add_argument("--name", help="results/iterations-NAME.json; default: the backend")

@@ -96,7 +96,7 @@ SETTINGS = {setting.name: setting for setting in _settings()}
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="accuracy.press", description=__doc__)
+    parser = argparse.ArgumentParser(allow_abbrev=False, prog="accuracy.press", description=__doc__)
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--only", metavar="PART", help="settings whose names contain this, and the reference")
     args = parser.parse_args()

@@ -107,7 +107,7 @@ Rows = list[dict[str, float | str]]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="accuracy.press_parts", description=__doc__)
+    parser = argparse.ArgumentParser(allow_abbrev=False, prog="accuracy.press_parts", description=__doc__)
     parser.add_argument("--group", choices=("meshes", "contacts", "steps"))
     group = parser.parse_args().group
     began = time.monotonic()

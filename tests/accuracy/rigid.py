@@ -247,7 +247,9 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     parser.add_argument("--only", default="", metavar="PART", help="instruments whose names contain this; no file")
     args = parser.parse_args()

@@ -259,7 +259,9 @@ def reference_forces(name: str) -> FloatArray:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     parser.add_argument("--only", default="", metavar="PART", help="settings whose names contain this")
     parser.add_argument("--against", choices=tuple(MADE), default="fine", help="the reference; default: %(default)s")

@@ -111,7 +111,9 @@ def _no_worse(of: Measurement, than: Measurement) -> bool:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m accuracy.trade", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, prog="python -m accuracy.trade", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--scene", choices=SCENES, help="one of them")
     parser.add_argument("--quick", action="store_true", help="as in `tensormass trade`")

@@ -193,7 +193,9 @@ def solve(text: str, sample_count: int) -> tuple[Floats, float]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m accuracy.trade_calculix", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, prog="python -m accuracy.trade_calculix", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--fresh", action="store_true", help="run all anew")
     arguments = parser.parse_args()
     ours = trade.Trade.read(SCENE, BACKEND)

@@ -249,7 +249,7 @@ def test_short_token_is_refused_at_the_start(viewer: Path, tmp_path: Path, optio
     file = tmp_path / "token"
     file.touch(mode=0o600)
     file.write_text(token)
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     add_arguments(parser)
     given = options_from(parser.parse_args(["--viewer", str(viewer), f"{option}={file}"]), "127.0.0.1:1")
     with pytest.raises(ValueError, match=f"^{option} has {len(token)} characters.* for a random one$") as refusal:
@@ -259,7 +259,7 @@ def test_short_token_is_refused_at_the_start(viewer: Path, tmp_path: Path, optio
 
 @asynchronous
 async def test_random_tokens_are_taken_as_before(viewer: Path) -> None:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     add_arguments(parser)
     gateway = Gateway(options_from(parser.parse_args(["--viewer", str(viewer)]), "127.0.0.1:1"))
     await gateway.stop()

@@ -51,7 +51,9 @@ SCRIPT = """JSON.stringify({costs: tensormass.costs(), state: tensormass.state()
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--chromium", default=CHROMIUM, help="default: %(default)s")
     parser.add_argument("--flags", default=GPU_FLAGS, help="how Chromium draws; default: %(default)s")
     parser.add_argument("--commit", default="", help="commit of the viewer, for the result")

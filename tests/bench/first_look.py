@@ -68,7 +68,9 @@ CASES = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, default=60.0, help="of each case; default: %(default)s")
     parser.add_argument("--only", default="", metavar="PART", help="cases whose names contain this")
     parser.add_argument("--commit", default="", help="commit of the checkout, for the result")

@@ -72,7 +72,9 @@ def _spent(told: list[tuple[float, str]], end_s: float) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", default="auto", help="auto, cpu or cuda")
     parser.add_argument("--commit", default="unknown", help="written into the result")
     parser.add_argument("--json", type=Path, help="append the lines to this file, too")

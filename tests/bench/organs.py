@@ -41,7 +41,9 @@ def organ_scene(name: str, mesh: VolumeMesh) -> Scene:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("output", type=Path, help="written: a serialized tensormass.v1.Scene")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--cell-m", type=float, help="cell size for the demo's liver, which has 0.0093")

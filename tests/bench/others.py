@@ -219,7 +219,9 @@ def processor() -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cells", default="20,4,4", help="cells along x, y, z (default: %(default)s)")
     parser.add_argument("--without", choices=("newton",), help="leave an engine out")
     parser.add_argument("--commit", default="", help="commit of the daemon, for the result")

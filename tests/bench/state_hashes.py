@@ -105,7 +105,9 @@ def rows(server: tm.Server) -> Iterator[tuple[str, str, str, str, str, str]]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     parser.add_argument("--against", type=Path, metavar="CSV", help="compare with a file; exit status 1 if one differs")
     args = parser.parse_args()

@@ -241,7 +241,9 @@ def back_and_forth(frames: list[stream_pb2.Frame]) -> Iterator[stream_pb2.Frame]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--browser", action="store_true", help="measure in a headless Chromium as well")
     parser.add_argument("--case", choices=("demo", "100000"), help="measure one scene (default: both)")
     parser.add_argument("--serve", type=Path, help="only show recorded frames to browsers")

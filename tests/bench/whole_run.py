@@ -45,7 +45,7 @@ def setting_of(args: argparse.Namespace) -> Setting:
 
 def measure(args: argparse.Namespace, scenes: int, scene_file: Path, seconds: float) -> dict[str, Any]:
     """Runs one load test and returns its row."""
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     load_arguments.add_arguments(parser)
     options = ["--scene", str(scene_file), "--backend", args.backend, "--transport", args.transport]
     options += ["--scenes", str(scenes), "--haptic", str(scenes), "--viewers", str(args.viewers)]
@@ -100,7 +100,9 @@ def _ms(seconds: float) -> float:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     parser.add_argument("--scene", default="demo", help="a built-in scene; default: %(default)s")
     parser.add_argument("--resolution", type=float, help="cells along an edge, relative to the scene's file")

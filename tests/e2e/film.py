@@ -18,7 +18,7 @@ QUALITIES = (70, 60, 50, 40, 30, 20)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(allow_abbrev=False, description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--every", type=float, required=True, metavar="S", help="time between two pictures")
     parser.add_argument("-o", "--output", type=Path, required=True)

@@ -31,7 +31,7 @@ def position_m(share: float) -> tuple[float, float, float]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(allow_abbrev=False, description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--pictures", type=int, required=True)
     parser.add_argument("--every", type=float, required=True, metavar="S", help="time between two pictures")
     options = parser.parse_args()

@@ -235,7 +235,7 @@ class Stack:
 
 
 async def main() -> None:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     parser.add_argument("viewer", type=Path, help="folder of the built viewer")
     stack = Stack(parser.parse_args().viewer)
     try:

@@ -22,7 +22,7 @@ MEMORY_BYTES = 4 << 30
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(allow_abbrev=False, description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"default: {' '.join(TARGETS)}")
     parser.add_argument("--seconds", type=float, default=60.0, help="for each target (default: %(default)g)")
     parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6, help="default: another one each time")

@@ -209,7 +209,9 @@ def _number(text: str) -> float | str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--program", type=Path, default=PROGRAM, help=f"default: build/bin/{PROGRAM.name}")
     parser.add_argument("--draw-only", action="store_true", help="keep the results, draw them again")
     options = parser.parse_args()

@@ -63,7 +63,7 @@ def server(haptic_program: Path) -> Iterator[tm.Server]:
 
 
 def arguments(*options: object) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     load_arguments.add_arguments(parser)
     return parser.parse_args([str(option) for option in options])
 

@@ -86,7 +86,7 @@ def test_every_haptic_client_gets_a_tool_of_its_own() -> None:
     ],
 )
 def test_options_out_of_range_are_refused(options: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     load_arguments.add_arguments(parser)
     with pytest.raises(SystemExit):
         parser.parse_args(options)
@@ -102,7 +102,7 @@ def test_options_out_of_range_are_refused(options: list[str], message: str, caps
     ],
 )
 def test_what_cannot_be_done_is_refused_before_anything_starts(options: list[str], message: str) -> None:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     load_arguments.add_arguments(parser)
     with pytest.raises(InvalidArgumentError, match=message):
         load_test.run(parser.parse_args(options))

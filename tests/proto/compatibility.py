@@ -186,7 +186,7 @@ def release(source: Path, target: Path) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Compare the protocol with the last released one.")
+    parser = argparse.ArgumentParser(allow_abbrev=False, description="Compare the protocol with the last released one.")
     parser.add_argument("--release", action="store_true", help="record the present protocol as the released one")
     if parser.parse_args().release:
         release(PRESENT, RELEASED)

@@ -239,7 +239,9 @@ def run(reader: str, count: int, seed: int, first: int = 0) -> tuple[int, list[s
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("reader", nargs="?", choices=list(samples()), help="default: all of them")
     parser.add_argument("--count", type=int, default=COUNT, help="mutations a reader")
     parser.add_argument("--seed", type=int, default=1)

@@ -183,7 +183,9 @@ def _default_folders(folder: Path, pythons: list[str]) -> list[Path]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folders", nargs="*", type=Path, help="default: what is beside the checkout or installed")
     parser.add_argument("--vtk", action="append", default=[], metavar="PYTHON", help="an interpreter with another VTK")
     parser.add_argument("--json", type=Path, help="writes all rows to a file")

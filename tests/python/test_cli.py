@@ -400,7 +400,7 @@ def test_run_says_where_no_viewer_can_be_served(
 ) -> None:
     (tmp_path / "index.html").touch()
     (tmp_path / "assets").mkdir()
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     run.add_arguments(parser)
 
     async def serve(options: list[str]) -> None:

@@ -486,7 +486,7 @@ def test_viewer_that_is_not_built_is_reported(tmp_path: Path) -> None:
 
 
 def test_arguments_stay_on_loopback_unless_told_otherwise() -> None:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     add_arguments(parser)
     args = parser.parse_args([])
     assert (args.host, args.port, args.allow_poses) == ("127.0.0.1", 0, False)
@@ -497,7 +497,7 @@ def test_arguments_reach_the_gateway(viewer: Path, tmp_path: Path) -> None:
     for file, content in ((token, "t"), (operator_token, "o\n"), (metrics_token, "m\n")):
         file.touch(mode=0o600)
         file.write_text(content)
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     add_arguments(parser)
     given = [
         "--host",
@@ -533,7 +533,7 @@ def test_arguments_reach_the_gateway(viewer: Path, tmp_path: Path) -> None:
 def test_token_files_that_others_read_or_that_are_missing_are_refused(
     viewer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     add_arguments(parser)
     open_file = tmp_path / "open"
     open_file.write_text("a-secret-of-everybody")
@@ -542,14 +542,14 @@ def test_token_files_that_others_read_or_that_are_missing_are_refused(
     binary.touch(mode=0o600)
     binary.write_bytes(b"\xff\xfe")
     for file, said in (
-        (open_file, f"every user of this machine can use it; chmod o-rwx {open_file}"),
-        (tmp_path / "none", "cannot be read: No such file or directory"),
-        (binary, "cannot be read: not text"),
+        (open_file, f"{open_file}: every user of this machine can use it; chmod o-rwx {open_file}"),
+        (Path("a-secret-in-place-of-its-file"), "the file: cannot be read: No such file or directory"),
+        (binary, f"{binary}: cannot be read: not text"),
     ):
         with pytest.raises(SystemExit):
             parser.parse_args(["--operator-token-file", str(file)])
         told = capsys.readouterr().err
-        assert f"--operator-token-file: {file}: {said}" in told
+        assert f"--operator-token-file: {said}" in told
         assert "a-secret" not in told
 
 

@@ -173,7 +173,7 @@ def test_origin_that_could_never_match_is_refused_at_the_start(
 ) -> None:
     with pytest.raises(ValueError, match="not scheme://host"):
         Gateway(options(viewer, origins=(wrong,)))
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     add_arguments(parser)
     with pytest.raises(SystemExit):
         parser.parse_args([f"--origin={wrong}"])

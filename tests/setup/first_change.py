@@ -101,7 +101,7 @@ def run(command: str, folder: Path, limit_s: float) -> int:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(allow_abbrev=False, description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--keep", action="store_true", help="keep the clone and name it")
     parser.add_argument("--seconds", type=float, default=DEFAULT_SECONDS, help="longest time (default: %(default)g)")
     options = parser.parse_args()

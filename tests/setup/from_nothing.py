@@ -166,7 +166,9 @@ def machine() -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("measurements", nargs="*", metavar="MEASUREMENT", help=f"default: {' '.join(MEASUREMENTS)}")
     parser.add_argument("--cuda", default="", choices=("", "AUTO", "ON", "OFF"), help="default: the Makefile's")
     parser.add_argument("--seconds", type=float, default=5400.0, metavar="T", help="limit of all; default: %(default)g")

@@ -34,7 +34,9 @@ SCENES_OF_GPU = max(2, min(14, (os.cpu_count() or 1) - 2))
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m stability", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, prog="python -m stability", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--long", action="store_true", help="also 10⁶ steps, an hour, millions of elements")
     parser.add_argument(

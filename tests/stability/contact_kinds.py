@@ -298,7 +298,9 @@ def worst_table(rows: list[Row]) -> str:
 
 def main() -> int:
     """Makes the runs, prints the rows that are off and the table of the worst."""
-    parser = argparse.ArgumentParser(prog="python -m stability.contact_kinds", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, prog="python -m stability.contact_kinds", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--only", default="", help="runs whose words contain this")
     parser.add_argument("--write", type=Path, help="CSV file for the rows")

@@ -336,7 +336,9 @@ def table(rows: list[Row]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m stability.monkey", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, prog="python -m stability.monkey", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--walks", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)

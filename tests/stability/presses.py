@@ -84,7 +84,9 @@ def run_press(server: tm.Server, backend: str, speed_m_per_s: float) -> Press:
 
 def main() -> int:
     """Makes the presses and prints a row for each."""
-    parser = argparse.ArgumentParser(prog="python -m stability.presses", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, prog="python -m stability.presses", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--write", type=Path, help="CSV file for the rows")
     arguments = parser.parse_args()

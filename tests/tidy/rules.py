@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 from collections.abc import Callable, Iterable
@@ -131,6 +132,20 @@ def orphans(sources: dict[PurePosixPath, str]) -> list[str]:
                 problems.append(f"{path}: nothing includes it")
         elif path.suffix in NATIVE and not any(path.name in lists.get(parent, "") for parent in path.parents):
             problems.append(f"{path}: no CMakeLists.txt builds it")
+    return problems
+
+
+def full_option_names(path: PurePosixPath, text: str) -> list[str]:
+    """No command line takes an abbreviation: an option that is gone would be read as one that begins alike."""
+    if path.suffix != ".py" or "ArgumentParser" not in text:
+        return []
+    problems = []
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Call) or ast.unparse(node.func).rpartition(".")[2] != "ArgumentParser":
+            continue
+        given = {word.arg: ast.unparse(word.value) for word in node.keywords}
+        if given.get("allow_abbrev") != "False":
+            problems.append(f"{path}:{node.lineno}: ArgumentParser without allow_abbrev=False")
     return problems
 
 

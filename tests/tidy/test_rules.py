@@ -28,6 +28,16 @@ def test_bare_marks() -> None:
     assert rules.bare_marks(Path("a.md"), f"{mark}\n") == []
 
 
+def test_full_option_names() -> None:
+    text = "import argparse\nparser = argparse.ArgumentParser(prog='a'{})\nparser.add_argument('--a')\n"
+    assert rules.full_option_names(Path("a.py"), text.format(", allow_abbrev=False")) == []
+    assert rules.full_option_names(Path("a.py"), text.format("")) == [
+        "a.py:2: ArgumentParser without allow_abbrev=False"
+    ]
+    assert len(rules.full_option_names(Path("a.py"), text.format(", allow_abbrev=True"))) == 1
+    assert rules.full_option_names(Path("a.md"), text.format("")) == []
+
+
 def test_machine_paths() -> None:
     home = "/ho" + "me/someone/x"
     assert len(rules.machine_paths(Path("a.md"), f"see {home}\n")) == 1

@@ -332,7 +332,7 @@ def _files(given: list[Path]) -> Iterator[Path]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="List phrases that this project does not write.")
+    parser = argparse.ArgumentParser(allow_abbrev=False, description="List phrases that this project does not write.")
     parser.add_argument("paths", nargs="*", type=Path, metavar="PATH", help="files or folders (default: all)")
     parser.add_argument("--long", action="store_true", help=f"also list sentences of more than {MAX_WORDS} words")
     options = parser.parse_args()

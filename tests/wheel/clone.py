@@ -33,7 +33,9 @@ _RUN = 'trap : INT; make -C "$1" run RUN_ARGS=--json; echo "{\\"ended\\": $?}"; 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--suite", default="bookworm", help="Debian release, or the tar file of a root")
     parser.add_argument("--seconds", type=float, default=3600.0, help="time limit of each `make run`")
     args = parser.parse_args()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import os
 import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tensormass._src.client_keys import ClientKeys, keys_of
+from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.processes import BUNDLE
+from tensormass._src.secret_files import read_secret
 from tensormass_gateway.origins import origin_of
 
 
@@ -118,13 +121,12 @@ def options_from(args: argparse.Namespace, control: str, *, daemon_has_keys: boo
 
 def _token_argument(path: str) -> str:
     """Reads a token. The list of a machine's processes shows arguments to all of its users, so no argument is one."""
+    # The name of a file that does not exist may be the token itself, given by mistake.
+    name = path if os.path.lexists(path) else "the file"
     try:
-        if Path(path).stat().st_mode & 0o007:
-            raise argparse.ArgumentTypeError(f"{path}: every user of this machine can use it; chmod o-rwx {path}")
-        return Path(path).read_text("utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not text"
-        raise argparse.ArgumentTypeError(f"{path}: cannot be read: {reason}") from error
+        return read_secret(Path(path), name, missing="", exposed="").strip()
+    except InvalidArgumentError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def _origin_argument(text: str) -> str:

@@ -40,6 +40,7 @@ from tensormass_tools.output import (
     state_name,
     status_line,
 )
+from tensormass_tools.parser import Parser
 from tensormass_tools.running import find_server
 from tensormass_tools.trade import command as trade
 from tensormass_tools.trade.arguments import add_arguments as add_trade_arguments
@@ -159,13 +160,13 @@ def parse_length_m(text: str) -> float:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="tensormass", description="Soft-tissue simulation for surgical trainers.")
+    parser = Parser(prog="tensormass", description="Soft-tissue simulation for surgical trainers.")
     parser.add_argument("--version", action="version", version=f"tensormass {_version()}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
-    json_option = argparse.ArgumentParser(add_help=False)
+    json_option = Parser(add_help=False)
     json_option.add_argument("--json", action="store_true", help="print JSON")
-    server = argparse.ArgumentParser(add_help=False)
+    server = Parser(add_help=False)
     server.add_argument(
         "--server",
         metavar="HOST:PORT",

@@ -9,7 +9,6 @@ created at once. Runs until SIGTERM as long as the daemon answers, with or witho
 
 from __future__ import annotations
 
-import argparse
 import signal
 import sys
 import time
@@ -24,6 +23,7 @@ from tensormass._src.scene_handle import SceneHandle
 from tensormass._src.server import connect
 from tensormass.v1 import stream_pb2
 from tensormass_tools.daemon_arguments import add_keys_argument
+from tensormass_tools.parser import Parser
 
 _FAULTED = stream_pb2.SceneStatus.STATE_FAULTED
 
@@ -44,7 +44,7 @@ def _check(scene: SceneHandle, ready: Path) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """Runs the viewer. Returns 0 if every frame was whole."""
-    parser = argparse.ArgumentParser(description="one viewer of a load test")
+    parser = Parser(description="one viewer of a load test")
     parser.add_argument("--server", required=True)
     add_keys_argument(parser)
     parser.add_argument("--scene", required=True)

@@ -18,6 +18,7 @@ import zenoh
 import zmq
 
 from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.secret_files import read_secret
 
 #: The name in every daemon's certificate. Clients reach daemons under many names; this one tells that it is a daemon.
 DAEMON_NAME = "tensormassd"
@@ -66,18 +67,12 @@ class ClientKeys:
                 message names file and remedy.
         """
         path = Path(path)
-        try:
-            mode, text = path.stat().st_mode, path.read_text("utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not text"
-            raise InvalidArgumentError(
-                f"keys {path}: cannot be read: {reason}; get the file that `tensormass keys add` wrote"
-            ) from error
-        if mode & 0o007:
-            raise InvalidArgumentError(
-                f"keys {path}: every user of this machine can use it; if a stranger may have read it, renew it "
-                f"(`tensormass keys renew`), else: chmod o-rwx {path}"
-            )
+        text = read_secret(
+            path,
+            f"keys {path}",
+            missing="; get the file that `tensormass keys add` wrote",
+            exposed="if a stranger may have read it, renew it (`tensormass keys renew`), else: ",
+        )
         keys = ClientKeys._parse(path, text)
         now = time.time()
         if now >= keys.expires_s:

@@ -9,6 +9,7 @@ from pathlib import Path
 from tensormass._src.client_keys import date_of
 from tensormass._src.extras import require
 from tensormass_tools.output import print_json
+from tensormass_tools.parser import Parser
 
 ROLES = ("operator", "hand", "viewer", "recorder", "metrics")
 
@@ -16,9 +17,9 @@ ROLES = ("operator", "hand", "viewer", "recorder", "metrics")
 def add_arguments(parser: argparse.ArgumentParser, json_option: argparse.ArgumentParser) -> None:
     """Adds the subcommands."""
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    folder = argparse.ArgumentParser(add_help=False)
+    folder = Parser(add_help=False)
     folder.add_argument("--keys", type=Path, default=Path("keys"), metavar="FOLDER", help="default: %(default)s")
-    valid = argparse.ArgumentParser(add_help=False)
+    valid = Parser(add_help=False)
     valid.add_argument("--days", type=float, default=365, help="how long the keys are valid (default: %(default)s)")
     host = "a name or address under which clients reach the daemon, besides those of this machine (repeatable)"
 

@@ -1,0 +1,34 @@
+"""Files with a secret: read only if not every user of this machine can use them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from tensormass._src.errors import InvalidArgumentError
+
+_OTHERS = 0o007
+
+
+def read_secret(path: Path, name: str, missing: str, exposed: str) -> str:
+    """Reads a text that users other than the file's owner and group may not know.
+
+    Args:
+        name: how refusals name the file.
+        missing: ends the refusal of a file that cannot be read, as `; get another`, or is empty.
+        exposed: goes before `chmod o-rwx` in the refusal of a file that others can use, or is empty.
+
+    Raises:
+        InvalidArgumentError: it cannot be read, is not text, or every user of this machine can use it.
+    """
+    try:
+        with path.open("rb") as file:
+            # Of the file that is read, whatever has its name by now.
+            if os.fstat(file.fileno()).st_mode & _OTHERS:
+                raise InvalidArgumentError(
+                    f"{name}: every user of this machine can use it; {exposed}chmod o-rwx {path}"
+                )
+            return file.read().decode()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not text"
+        raise InvalidArgumentError(f"{name}: cannot be read: {reason}{missing}") from error
