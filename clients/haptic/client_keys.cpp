@@ -2,34 +2,22 @@
 
 #include <sys/stat.h>
 
-#include <cerrno>
-#include <cstring>
 #include <ctime>
-#include <fstream>
-#include <iterator>
 #include <utility>
 #include <vector>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "core/secret_file.h"
+
 namespace tensormass::haptic {
 
 Result<ClientKeys> read_client_keys(const std::string& path) {
   const auto refuse = [&](std::string_view what) { return invalid(fmt::format("--keys {}: {}", path, what)); };
   constexpr std::string_view kGet = "get the file that `tensormass keys add` wrote";
-  struct stat found {};
-  std::ifstream file(path, std::ios::binary);
-  if (!file || stat(path.c_str(), &found) != 0) {
-    return refuse(fmt::format("cannot be read: {}; {}", std::strerror(errno), kGet));
-  }
-  if ((found.st_mode & S_IRWXO) != 0) {
-    return refuse(
-        fmt::format("every user of this machine can use it; renew it if a stranger may have read it, else: "
-                    "chmod o-rwx {}",
-                    path));
-  }
-  const nlohmann::json content = nlohmann::json::parse(file, nullptr, false);
+  TM_ASSIGN_OR_RETURN(text, read_file_of_owner(path, S_IRWXO, "--keys ", kGet));
+  const nlohmann::json content = nlohmann::json::parse(text, nullptr, false);
   if (!content.is_object() || !content.contains("tensormass") || content["tensormass"] != "client keys") {
     return refuse(fmt::format("not a client's keys, or damaged; {}", kGet));
   }

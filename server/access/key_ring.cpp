@@ -3,23 +3,20 @@
 #include <sys/stat.h>
 
 #include <algorithm>
-#include <array>
-#include <cerrno>
 #include <chrono>
-#include <cstdio>
-#include <cstring>
 #include <ctime>
 #include <exception>
 #include <new>
 #include <utility>
 
 #include <fmt/format.h>
-#include <openssl/bio.h>
 #include <openssl/pem.h>
 #include <openssl/x509.h>
 #include <nlohmann/json.hpp>
 
+#include "access/openssl_pointers.h"
 #include "core/log.h"
+#include "core/secret_file.h"
 
 namespace tensormass::access {
 namespace {
@@ -44,44 +41,9 @@ std::uint64_t signature_of(const std::string& path) {
   return hash | 1;
 }
 
-struct Free {
-  void operator()(std::FILE* file) const { std::fclose(file); }
-  void operator()(BIO* bio) const { BIO_free(bio); }
-  void operator()(X509* certificate) const { X509_free(certificate); }
-};
-
-/// forbidden: bits of the mode that the file must not have, for users other than owner and group.
-Result<std::string> read_file(const std::string& path, mode_t forbidden, std::string_view remedy) {
-  struct stat found {};
-  if (stat(path.c_str(), &found) != 0) {
-    return invalid(fmt::format("--keys: cannot read {}: {}; {}", path, std::strerror(errno), remedy));
-  }
-  if (!S_ISREG(found.st_mode)) return invalid(fmt::format("--keys: {} is not a file; {}", path, remedy));
-  if ((found.st_mode & forbidden) != 0) {
-    return invalid(
-        fmt::format("--keys: {} is open to every user of this machine; make new keys if a stranger may have "
-                    "read it, else: chmod o-rwx {}",
-                    path, path));
-  }
-  // Not a stream of the standard library: its buffer throws when a read fails.
-  const std::unique_ptr<std::FILE, Free> file(std::fopen(path.c_str(), "rbe"));
-  std::string text;
-  std::array<char, 4096> part;
-  while (file != nullptr) {
-    const std::size_t size = std::fread(part.data(), 1, part.size(), file.get());
-    if (size == 0) break;
-    text.append(part.data(), size);
-  }
-  if (file == nullptr || std::ferror(file.get()) != 0) {
-    return invalid(fmt::format("--keys: cannot read {}: {}; {}", path, std::strerror(errno), remedy));
-  }
-  return text;
-}
-
 /// Refuses a certificate that cannot be read or does not hold now.
 Result<void> check_certificate(const std::string& pem, const std::string& path, std::string_view renew) {
-  const std::unique_ptr<BIO, Free> bio(BIO_new_mem_buf(pem.data(), static_cast<int>(pem.size())));
-  const std::unique_ptr<X509, Free> certificate(PEM_read_bio_X509(bio.get(), nullptr, nullptr, nullptr));
+  const Certificate certificate(PEM_read_bio_X509(read_text(pem).get(), nullptr, nullptr, nullptr));
   if (!certificate) return invalid(fmt::format("--keys: {}: the certificate is damaged; {}", path, renew));
   if (X509_cmp_current_time(X509_get0_notAfter(certificate.get())) < 0) {
     return invalid(fmt::format("--keys: {}: the daemon's certificate has expired; {}", path, renew));
@@ -99,7 +61,7 @@ Result<std::unique_ptr<KeyRing>> KeyRing::open(const std::string& folder) {
   const std::string init = fmt::format("make keys with: tensormass keys init {}", folder);
   const std::string renew = fmt::format("renew it with: tensormass keys renew {}", folder);
   const std::string own = folder + "/daemon.json", others = folder + "/clients.json";
-  TM_ASSIGN_OR_RETURN(text, read_file(own, S_IRWXO, init));
+  TM_ASSIGN_OR_RETURN(text, read_file_of_owner(own, S_IRWXO, "--keys: ", init));
   const nlohmann::json file = nlohmann::json::parse(text, nullptr, false);
   if (!file.is_object() || !file.contains("tensormass") || file["tensormass"] != "daemon keys") {
     return invalid(fmt::format("--keys: {} does not hold a daemon's keys; {}", own, init));
@@ -125,7 +87,7 @@ Result<std::unique_ptr<KeyRing>> KeyRing::open(const std::string& folder) {
   TM_RETURN_IF_ERROR(check_certificate(daemon.certificate_pem, own, renew));
   TM_RETURN_IF_ERROR(check_certificate(daemon.authority_pem, own, init));
   const std::uint64_t seen = signature_of(others);
-  TM_ASSIGN_OR_RETURN(list, read_file(others, S_IWOTH, init));
+  TM_ASSIGN_OR_RETURN(list, read_file_of_owner(others, S_IWOTH, "--keys: ", init));
   TM_ASSIGN_OR_RETURN(clients, read_client_list(list, others));
   return std::unique_ptr<KeyRing>(new KeyRing(folder, std::move(daemon), std::move(clients), seen));
 }
@@ -210,7 +172,7 @@ void KeyRing::read_again() {
     if (std::exchange(told_, signature) == signature) return;
     log::error("the list of clients cannot be read", {{"reason", error.message}});
   };
-  const auto text = read_file(path, S_IWOTH, "the list before counts on");
+  const auto text = read_file_of_owner(path, S_IWOTH, "--keys: ", "the list before counts on");
   if (!text) return say(text.error());  // it is read again in each period
   seen_ = signature;
   log::debug("the list of clients was read");

@@ -12,19 +12,13 @@
 #include <openssl/ssl.h>
 #include <openssl/x509.h>
 
+#include "access/openssl_pointers.h"
+
 namespace tensormass::control {
 namespace {
 
-template <auto kFree>
-struct Freed {
-  template <class T>
-  void operator()(T* object) const {
-    kFree(object);
-  }
-};
-using Bio = std::unique_ptr<BIO, Freed<BIO_free>>;
-using Certificate = std::unique_ptr<X509, Freed<X509_free>>;
-using Key = std::unique_ptr<EVP_PKEY, Freed<EVP_PKEY_free>>;
+using access::Certificate;
+using access::read_text;
 
 /// HTTP/2, the only protocol that gRPC speaks, as ALPN writes it.
 constexpr std::array<unsigned char, 3> kHttp2{2, 'h', '2'};
@@ -36,8 +30,6 @@ int select_http2(SSL*, const unsigned char** out, unsigned char* size, const uns
   *out = selected;
   return found == OPENSSL_NPN_NEGOTIATED ? SSL_TLSEXT_ERR_OK : SSL_TLSEXT_ERR_ALERT_FATAL;
 }
-
-Bio read_text(const std::string& pem) { return Bio(BIO_new_mem_buf(pem.data(), static_cast<int>(pem.size()))); }
 
 std::string last_error() {
   const unsigned long code = ERR_peek_last_error();
@@ -64,7 +56,7 @@ Result<std::unique_ptr<TlsContext>> TlsContext::make(const std::string& certific
   if (!context) return refused("the keys");
   SSL_CTX_set_min_proto_version(context.get(), TLS1_3_VERSION);
   const Certificate own(PEM_read_bio_X509(read_text(certificate).get(), nullptr, nullptr, nullptr));
-  const Key key(PEM_read_bio_PrivateKey(read_text(private_key).get(), nullptr, nullptr, nullptr));
+  const access::PrivateKey key(PEM_read_bio_PrivateKey(read_text(private_key).get(), nullptr, nullptr, nullptr));
   const Certificate signer(PEM_read_bio_X509(read_text(authority).get(), nullptr, nullptr, nullptr));
   if (!own || SSL_CTX_use_certificate(context.get(), own.get()) != 1) return refused("the certificate");
   if (!key || SSL_CTX_use_PrivateKey(context.get(), key.get()) != 1) return refused("the private key");

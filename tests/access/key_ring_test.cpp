@@ -83,7 +83,7 @@ TEST_F(KeyRingTest, AFolderInPlaceOfTheListIsTold) {
   ring_->follow([] { return true; });
   folder_.rename("clients.json", "before.json");
   std::filesystem::create_directory(folder_.path() / "clients.json");
-  EXPECT_TRUE(eventually([&] { return lines_->count("clients.json is not a file") > 0; }));
+  EXPECT_TRUE(eventually([&] { return lines_->count("clients.json: not a file") > 0; }));
   EXPECT_TRUE(knows_alice()) << "the list before counts on";
   std::filesystem::remove(folder_.path() / "clients.json");
   folder_.rename("without.json", "clients.json");
@@ -113,7 +113,7 @@ TEST_F(KeyRingTest, RefusesADaemonFileThatItCannotUse) {
   refuse("curve_public is not a key of ZeroMQ");
   std::filesystem::remove(folder_.path() / "daemon.json");
   std::filesystem::create_directory(folder_.path() / "daemon.json");
-  refuse("daemon.json is not a file");
+  refuse("daemon.json: not a file");
 }
 
 }  // namespace
