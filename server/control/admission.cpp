@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 
 #include "control/scene_cost.h"
+#include "core/http2_limits.h"
 #include "core/limits.h"
 
 namespace tensormass::control {
@@ -58,6 +59,12 @@ Admission::Admission(const AdmissionLimits& limits, double (*used_bytes)(), Refu
   if (!(limits_.all_bytes > 0)) limits_.all_bytes = kDefaultMemoryShare * machine_bytes();
   if (!(limits_.scene_bytes > 0)) limits_.scene_bytes = limits_.all_bytes;
   if (!(limits_.load_s > 0)) limits_.load_s = kDefaultLoadS;
+  if (!(limits_.message_bytes > 0)) limits_.message_bytes = limits::kDefaultHalfSentBytes;
+}
+
+bool Admission::has_room(double bytes) {
+  const std::lock_guard lock(mutex_);
+  return used_bytes_() + promised_ + bytes <= limits_.all_bytes;
 }
 
 Admission::Promise::~Promise() {

@@ -12,9 +12,10 @@ namespace tensormass::control {
 
 /// Bounds of what scenes may take.
 struct AdmissionLimits {
-  double scene_bytes = 0;  ///< one load may need so much at its peak; 0: as all_bytes
-  double all_bytes = 0;    ///< the process may hold so much; 0: kDefaultMemoryShare of the memory that it may have
-  double load_s = 0;       ///< one load may take so long; 0: kDefaultLoadS
+  double scene_bytes = 0;    ///< one load may need so much at its peak; 0: as all_bytes
+  double all_bytes = 0;      ///< the process may hold so much; 0: kDefaultMemoryShare of the memory that it may have
+  double load_s = 0;         ///< one load may take so long; 0: kDefaultLoadS
+  double message_bytes = 0;  ///< the largest message, and all that have not arrived; 0: kDefaultHalfSentBytes
 };
 
 /// Share of the machine's or the container's memory, and longest load [s], unless the user says otherwise.
@@ -46,6 +47,9 @@ class Admission {
   };
   /// Fails with kResourceExhausted, and names the number, the limit and the option that sets it.
   Result<Promise> admit(const v1::Scene& scene);
+
+  /// Whether so many more bytes stay within the bound of all, as of a message that comes.
+  bool has_room(double bytes);
 
   const AdmissionLimits& limits() const { return limits_; }
 

@@ -71,7 +71,12 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
   };
   RelayGuard guard;
   if (keys != nullptr) guard = {parts->tls.get(), [keys](std::string_view id) { return keys->find(id) != nullptr; }};
-  parts->relay = std::make_unique<Relay>(admit, on_refused, std::move(guard));
+  Admission& admission = registry.admission();
+  parts->relay = std::make_unique<Relay>(
+      admit, on_refused, std::move(guard),
+      Http2Meter::Messages{
+          static_cast<std::uint64_t>(admission.limits().message_bytes),
+          [&admission](std::uint64_t bytes) { return admission.has_room(static_cast<double>(bytes)); }});
   const char* const wrong = keys != nullptr ? "a peer that does not speak TLS" : "a peer that does not speak HTTP/2";
   parts->doorkeeper->open([relay = parts->relay.get()](int descriptor) { relay->add(descriptor); },
                           [on_refused, wrong] { on_refused(wrong); },

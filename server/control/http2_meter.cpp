@@ -1,6 +1,9 @@
 #include "control/http2_meter.h"
 
 #include <algorithm>
+#include <utility>
+
+#include "core/assert.h"
 
 namespace tensormass::control {
 namespace {
@@ -21,14 +24,19 @@ bool Http2Meter::Bucket::take(double most, double per_s, Time now) {
   return true;
 }
 
-Http2Meter::Http2Meter(std::atomic<std::uint64_t>& half_sent, Time now)
+Http2Meter::Http2Meter(std::atomic<std::uint64_t>& half_sent, const Messages& messages, Time now)
     : half_sent_(half_sent),
+      messages_(messages),
       preface_left_(kPrefaceBytes),
-      resets_{limits::kMaxResetsAtOnce, now},
-      control_frames_{limits::kMaxControlFramesAtOnce, now} {}
+      budget_(std::make_shared<Budget>(now)) {}
 
 Http2Meter::~Http2Meter() {
   while (!streams_.empty()) close(streams_.begin());
+}
+
+void Http2Meter::share(std::shared_ptr<Budget> budget) {
+  TM_ASSERT(streams_.empty(), "calls are counted where they end");
+  budget_ = std::move(budget);
 }
 
 template <class Begins, class Payload>
@@ -73,8 +81,12 @@ std::string_view Http2Meter::begin_client_frame(Time now) {
   switch (client_.type) {
     case kHeaders: {
       const auto [stream, is_new] = streams_.try_emplace(id);
-      if (is_new) stream->second.progress = now;
-      if (streams_.size() > limits::kMaxStreamsPerConnection) return "more than kMaxStreamsPerConnection calls at once";
+      if (is_new) {
+        stream->second.progress = now;
+        ++budget_->streams;
+      }
+      if (budget_->streams > limits::kMaxStreamsPerConnection)
+        return "more than kMaxStreamsPerConnection calls at once";
       header_block_ = 0;
       [[fallthrough]];
     }
@@ -86,7 +98,7 @@ std::string_view Http2Meter::begin_client_frame(Time now) {
       if ((client_.flags & kEndHeaders) != 0) header_block_ = 0;
       break;
     case kResetStream:
-      if (!resets_.take(limits::kMaxResetsAtOnce, limits::kMaxResetsPerS, now)) {
+      if (!budget_->resets.take(limits::kMaxResetsAtOnce, limits::kMaxResetsPerS, now)) {
         return "more than kMaxResetsAtOnce calls given up";
       }
       if (const auto stream = streams_.find(id); stream != streams_.end()) close(stream);
@@ -94,7 +106,7 @@ std::string_view Http2Meter::begin_client_frame(Time now) {
     case kPing:
     case kSettings:
     case kPriority:
-      if (!control_frames_.take(limits::kMaxControlFramesAtOnce, limits::kMaxControlFramesPerS, now)) {
+      if (!budget_->control_frames.take(limits::kMaxControlFramesAtOnce, limits::kMaxControlFramesPerS, now)) {
         return "more than kMaxControlFramesAtOnce frames without a call";
       }
       return {};
@@ -123,6 +135,14 @@ std::string_view Http2Meter::take_data(std::string_view bytes, Time now) {
       const auto& p = stream.prefix;
       stream.message_left =
           std::uint64_t{p[1]} << 24 | std::uint64_t{p[2]} << 16 | std::uint64_t{p[3]} << 8 | std::uint64_t{p[4]};
+      if (stream.message_left > messages_.max_bytes) {
+        return "a message larger than --max-message-mib; start the daemon with a larger one";
+      }
+      if (stream.message_left > limits::kSmallMessageBytes && messages_.has_room &&
+          !messages_.has_room(stream.message_left)) {
+        return "a message for which --max-memory-mib leaves no memory; unload a scene, or start the daemon with a "
+               "larger one";
+      }
     }
     const std::uint64_t size = std::min<std::uint64_t>(bytes.size(), stream.message_left);
     take_half_sent(stream, size);
@@ -134,10 +154,15 @@ std::string_view Http2Meter::take_data(std::string_view bytes, Time now) {
     stream.prefix_size = 0;
     stream.had_message = true;
   }
-  if (stream.half_sent > 0 && half_sent_.load(std::memory_order_relaxed) > limits::kMaxHalfSentBytes) {
-    return "more than kMaxHalfSentBytes of messages that have not arrived";
-  }
   return {};
+}
+
+double Http2Meter::held_byte_s(Time now) const {
+  double held = 0;
+  for (const auto& [id, stream] : streams_) {
+    held += static_cast<double>(stream.half_sent) * std::chrono::duration<double>(now - stream.progress).count();
+  }
+  return held;
 }
 
 void Http2Meter::from_server(std::string_view bytes) {
@@ -173,6 +198,7 @@ void Http2Meter::end(std::uint32_t id, bool by_client) {
 void Http2Meter::close(std::map<std::uint32_t, Stream>::iterator stream) {
   half_sent_.fetch_sub(stream->second.half_sent, std::memory_order_relaxed);
   streams_.erase(stream);
+  --budget_->streams;
 }
 
 void Http2Meter::take_half_sent(Stream& stream, std::uint64_t bytes) {

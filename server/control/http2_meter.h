@@ -4,7 +4,9 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <map>
+#include <memory>
 #include <string_view>
 
 #include "core/http2_limits.h"
@@ -25,12 +27,35 @@ class Http2Meter {
  public:
   using Time = std::chrono::steady_clock::time_point;
 
-  /// half_sent: bytes of messages that have not arrived as a whole, of all connections; must outlive the meter.
-  Http2Meter(std::atomic<std::uint64_t>& half_sent, Time now);
+  /// The messages that a server takes.
+  struct Messages {
+    std::uint64_t max_bytes = limits::kDefaultHalfSentBytes;  ///< the size that the prefix of one may announce
+    /// Whether the daemon has memory for so many bytes; must not block. Asked about messages above kSmallMessageBytes.
+    std::function<bool(std::uint64_t bytes)> has_room = nullptr;
+  };
+
+  /// A number of events that may happen at once, and a rate at which it recovers.
+  struct Bucket {
+    double left;
+    Time since;
+    bool take(double most, double per_s, Time now);
+  };
+  /// What one client may do: shared by all connections of a key, because a client could open many of them.
+  struct Budget {
+    explicit Budget(Time now)
+        : resets{limits::kMaxResetsAtOnce, now}, control_frames{limits::kMaxControlFramesAtOnce, now} {}
+    Bucket resets, control_frames;
+    std::size_t streams = 0;
+  };
+
+  /// half_sent: bytes of messages that have not arrived as a whole, of all connections. Both must outlive the meter.
+  Http2Meter(std::atomic<std::uint64_t>& half_sent, const Messages& messages, Time now);
   ~Http2Meter();
   Http2Meter(const Http2Meter&) = delete;
   Http2Meter& operator=(const Http2Meter&) = delete;
 
+  /// Counts against `budget` from now on, before the first byte of the client. Without a call it has one of its own.
+  void share(std::shared_ptr<Budget> budget);
   /// Takes the next bytes of the client. Returns why the connection must be closed, or "". The text is constant.
   std::string_view from_client(std::string_view bytes, Time now);
   void from_server(std::string_view bytes);
@@ -38,6 +63,11 @@ class Http2Meter {
   std::string_view at(Time now) const;
 
   std::size_t stream_count() const { return streams_.size(); }
+  /// Bytes of half-sent messages times the time for which nothing more of them came [B s]. Who waits with a large
+  /// message has much; who sends has none.
+  double held_byte_s(Time now) const;
+  /// Whether the server's bytes so far end with a frame, so that another frame may follow.
+  bool server_is_between_frames() const { return server_.header_size == 0; }
 
  private:
   /// Splits bytes into frames. Only the first nine bytes of a frame are kept.
@@ -57,13 +87,6 @@ class Http2Meter {
     bool client_ended = false, server_ended = false;
     Time progress;
   };
-  /// A number of events that may happen at once, and a rate at which it recovers.
-  struct Bucket {
-    double left;
-    Time since;
-    bool take(double most, double per_s, Time now);
-  };
-
   /// begins: std::string_view(), after the header of a frame; payload: std::string_view(std::string_view), for its
   /// bytes. Both return why the connection must be closed, or "".
   template <class Begins, class Payload>
@@ -75,11 +98,12 @@ class Http2Meter {
   void take_half_sent(Stream& stream, std::uint64_t bytes);
 
   std::atomic<std::uint64_t>& half_sent_;
+  const Messages& messages_;
   std::size_t preface_left_;
   Reader client_, server_;
   std::size_t header_block_ = 0;  // bytes of the block that comes
   std::map<std::uint32_t, Stream> streams_;
-  Bucket resets_, control_frames_;
+  std::shared_ptr<Budget> budget_;
 };
 
 }  // namespace tensormass::control

@@ -70,13 +70,15 @@ struct OfClient {
 
 }  // namespace
 
-Relay::Connection::Connection(Descriptor of_client, Descriptor of_inner, std::atomic<std::uint64_t>& half_sent)
-    : client(std::move(of_client)), inner(std::move(of_inner)), meter(half_sent, Clock::now()) {}
+Relay::Connection::Connection(Descriptor of_client, Descriptor of_inner, std::atomic<std::uint64_t>& half_sent,
+                              const Http2Meter::Messages& messages)
+    : client(std::move(of_client)), inner(std::move(of_inner)), meter(half_sent, messages, Clock::now()) {}
 
-Relay::Relay(Admit admit, Refuse refuse, RelayGuard guard)
+Relay::Relay(Admit admit, Refuse refuse, RelayGuard guard, Http2Meter::Messages messages)
     : admit_(std::move(admit)),
       refuse_(std::move(refuse)),
       guard_(std::move(guard)),
+      messages_(std::move(messages)),
       poll_(epoll_create1(EPOLL_CLOEXEC)),
       wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   epoll_event event{.events = EPOLLIN, .data = {.u64 = kWakeKey}};
@@ -91,7 +93,7 @@ Relay::~Relay() {
 }
 
 void Relay::add(int descriptor) {
-  auto connection = std::make_unique<Connection>(Descriptor(descriptor), Descriptor(), half_sent_);
+  auto connection = std::make_unique<Connection>(Descriptor(descriptor), Descriptor(), half_sent_, messages_);
   if (guard_.tls != nullptr) {
     connection->tls = std::make_unique<TlsStream>(*guard_.tls, connection->client.get());
     connection->shakes_hands_until = Clock::now() + kHandshakeTimeout;
@@ -184,6 +186,7 @@ void Relay::make_room_to_shake_hands() {
 
 Relay::Connections::iterator Relay::close(Connections::iterator connection) {
   if (connection->second->counted) count_.fetch_sub(1);
+  if (connection->second->key != nullptr) --connection->second->key->connections;
   return connections_.erase(connection);
 }
 
@@ -201,10 +204,46 @@ Relay::Outcome Relay::carry(Connection& connection) {
     return std::string_view();
   });
   if (out == Outcome::kEnded) return out;
-  const Outcome in = carry(client, inner, connection.in,
-                           [&](std::string_view bytes) { return connection.meter.from_client(bytes, now); });
+  const Outcome in = carry(client, inner, connection.in, [&](std::string_view bytes) {
+    std::string_view why = connection.meter.from_client(bytes, now);
+    if (why.empty()) why = make_room_for_messages(connection);
+    if (!why.empty()) say_goodbye(connection, why);
+    return why;
+  });
   // gRPC ends both ways at once, as soon as the client has ended its own.
   return connection.out.passed_on ? Outcome::kEnded : in;
+}
+
+std::string_view Relay::make_room_for_messages(const Connection& active) {
+  constexpr std::string_view kWhy =
+      "half-sent messages of more than --max-message-mib; the one that waited with most made room";
+  const Clock::time_point now = Clock::now();
+  while (half_sent_.load() > messages_.max_bytes) {
+    const auto holds_less = [now](const auto& a, const auto& b) {
+      return a.second->meter.held_byte_s(now) < b.second->meter.held_byte_s(now);
+    };
+    const auto most = std::max_element(connections_.begin(), connections_.end(), holds_less);
+    if (most == connections_.end() || most->second.get() == &active || !(most->second->meter.held_byte_s(now) > 0)) {
+      return kWhy;
+    }
+    say_goodbye(*most->second, kWhy);
+    refuse_(kWhy);
+    close(most);
+  }
+  return {};
+}
+
+void Relay::say_goodbye(const Connection& connection, std::string_view why) {
+  if (connection.inner.get() < 0 || !connection.out.empty() || !connection.meter.server_is_between_frames()) return;
+  // RFC 9113, section 6.8: GOAWAY, which all calls so far outlive; ENHANCE_YOUR_CALM, and a text.
+  constexpr std::string_view kHeader("\x07\0\0\0\0\0", 6), kLastCall("\x7f\xff\xff\xff", 4), kCalm("\0\0\0\x0b", 4);
+  std::string frame(1, '\0');
+  const std::size_t size = kLastCall.size() + kCalm.size() + why.size();
+  frame += static_cast<char>(size >> 8);
+  frame += static_cast<char>(size);
+  frame.append(kHeader).append(kLastCall).append(kCalm).append(why);
+  // If the socket is full, the client learns less.
+  static_cast<void>(OfClient{connection.client.get(), connection.tls.get()}.write(frame.data(), frame.size()));
 }
 
 Relay::Outcome Relay::shake_hands(Connection& connection) {
@@ -223,7 +262,20 @@ Relay::Outcome Relay::shake_hands(Connection& connection) {
     refuse_(fmt::format("a peer whose key was removed or has expired: {}", connection.id));
     return Outcome::kEnded;
   }
-  return connect_inner(connection) ? Outcome::kGoesOn : Outcome::kEnded;
+  return join_key(connection) && connect_inner(connection) ? Outcome::kGoesOn : Outcome::kEnded;
+}
+
+bool Relay::join_key(Connection& connection) {
+  std::shared_ptr<Key>& key = keys_[connection.id];
+  if (key == nullptr) key = std::make_shared<Key>(Key{std::make_shared<Http2Meter::Budget>(Clock::now())});
+  if (key->connections >= limits::kMaxConnectionsPerKey) {
+    refuse_(fmt::format("more than kMaxConnectionsPerKey connections of {}", connection.id));
+    return false;
+  }
+  connection.key = key;
+  ++key->connections;
+  connection.meter.share(key->budget);
+  return true;
 }
 
 template <class From, class To, class Taken>
@@ -293,6 +345,8 @@ void Relay::check_time() {
     refuse_(why);
     connection = close(connection);
   }
+  std::erase_if(keys_,
+                [this](const auto& entry) { return entry.second->connections == 0 && !guard_.knows(entry.first); });
 }
 
 }  // namespace tensormass::control

@@ -31,6 +31,9 @@ struct RelayGuard {
 ///     client <── socket ──> one buffer each way <── socket pair ──> gRPC
 ///                                └─ Http2Meter: too many resets, too long headers, ... ──> close both, refuse(why)
 ///
+/// All half-sent messages together have a bound. Beyond it the one that waits with most ends, so that a client that
+/// sends goes on whoever holds what.
+///
 /// With keys, the client's side speaks TLS, and gRPC gets a connection when the handshake is done. gRPC then calls its
 /// peer by the name of the client's certificate (id_of_peer), because the socket pair's other end has that address.
 /// Connections that shake hands have limits of their own, so that peers without a key use up none of those with one.
@@ -44,7 +47,7 @@ class Relay {
   /// Called with the reason for each connection that was closed for a limit; must not block.
   using Refuse = std::function<void(std::string_view why)>;
 
-  Relay(Admit admit, Refuse refuse, RelayGuard guard = {});
+  Relay(Admit admit, Refuse refuse, RelayGuard guard = {}, Http2Meter::Messages messages = {});
   ~Relay();
 
   /// Takes ownership of a client's socket, non-blocking. Any thread may call it; `admit` runs on it.
@@ -63,8 +66,14 @@ class Relay {
     bool empty() const { return begin == end; }
     std::string_view view() const { return {bytes.data() + begin, end - begin}; }
   };
+  /// What all connections of one key may do together.
+  struct Key {
+    std::shared_ptr<Http2Meter::Budget> budget;
+    std::size_t connections = 0;
+  };
   struct Connection {
-    Connection(Descriptor of_client, Descriptor of_inner, std::atomic<std::uint64_t>& half_sent);
+    Connection(Descriptor of_client, Descriptor of_inner, std::atomic<std::uint64_t>& half_sent,
+               const Http2Meter::Messages& messages);
     Descriptor client, inner;
     std::unique_ptr<TlsStream> tls;  // nullptr: plain text
     std::string id;                  // the client's, after the handshake
@@ -72,6 +81,7 @@ class Relay {
     Http2Meter meter;
     Buffer in, out;
     bool counted = false;                               // in count_
+    std::shared_ptr<Key> key;                           // nullptr in plain text, and before the handshake
     std::uint32_t client_events = 0, inner_events = 0;  // that epoll waits for
   };
   enum class Outcome : std::uint8_t { kGoesOn, kEnded };
@@ -84,9 +94,16 @@ class Relay {
   void make_room_to_shake_hands();
   Outcome carry(Connection& connection);
   Outcome shake_hands(Connection& connection);
+  /// Closes connections that hold half-sent messages, those first that hold most for longest, until all of them
+  /// together have messages_.max_bytes at most. Returns why `active`, which sends now, must end too, or "".
+  std::string_view make_room_for_messages(const Connection& active);
+  /// Tells the client why its connection ends, by a frame of HTTP/2, if one may follow. gRPC's errors repeat the text.
+  static void say_goodbye(const Connection& connection, std::string_view why);
   /// Counts the connection, makes the socket pair and hands gRPC its end. Returns false beyond kMaxControlConnections
   /// and without descriptors.
   bool connect_inner(Connection& connection);
+  /// Gives the connection what its key has left. Returns false beyond kMaxConnectionsPerKey.
+  bool join_key(Connection& connection);
   /// Returns the connection after the one that it closes.
   Connections::iterator close(Connections::iterator connection);
   /// Moves what it can; taken: std::string_view(std::string_view), gets the bytes that were read and returns why the
@@ -100,6 +117,7 @@ class Relay {
   const Admit admit_;
   const Refuse refuse_;
   const RelayGuard guard_;
+  const Http2Meter::Messages messages_;
   Descriptor poll_, wake_;
   std::atomic<std::uint64_t> half_sent_{0};
   std::atomic<std::size_t> count_{0};
@@ -107,6 +125,8 @@ class Relay {
   std::mutex mutex_;
   std::vector<std::unique_ptr<Connection>> new_;  // guarded by mutex_
   Connections connections_;
+  // By the id of a client. Kept while the key is good: a client that leaves and comes back has no more left.
+  std::map<std::string, std::shared_ptr<Key>, std::less<>> keys_;
   std::uint64_t next_id_ = 1;
   std::chrono::steady_clock::time_point next_check_{};
   std::thread thread_;

@@ -82,6 +82,8 @@ class SceneRegistry {
   /// Changes values of a scene that steps. The scene is compiled again beside itself, so it needs as much as a load and
   /// is admitted like one. Fails with kNotFound, kResourceExhausted, and the errors of world::Runner::adjust.
   Result<v1::AdjustSceneResponse> adjust(std::string_view name, const v1::SceneAdjustments& changes);
+  /// The bounds of what clients may take; messages ask it, too.
+  Admission& admission() { return admission_; }
   /// Removes the scene and ends its step. Returns when its loop has ended, unless another owner still holds it.
   /// Fails with kNotFound, or with kFailedPrecondition while the scene is being loaded.
   Result<void> unload(std::string_view name);

@@ -14,6 +14,9 @@ inline constexpr std::uint32_t kDefaultZenohSessions = 512, kMaxZenohSessions = 
 /// Subscriptions of one client at the ZeroMQ publish endpoint; a client with more is disconnected. A scene with every
 /// tool has 19 streams.
 inline constexpr std::size_t kMaxSubscriptionsPerPeer = 64;
+/// Subscriptions of all connections of one key there; a client with more is disconnected. A gateway has three for each
+/// of limits::kMaxScenes scenes.
+inline constexpr std::size_t kMaxSubscriptionsPerKey = 2048;
 /// Bytes of a message to the ZeroMQ publish endpoint; ZeroMQ closes the connection of a client that sends a longer one.
 /// The longest key has 220. The handshake's messages count, too, and may bring a client's own properties.
 inline constexpr std::int64_t kMaxSubscriptionBytes = 1024;

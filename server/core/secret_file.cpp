@@ -24,7 +24,7 @@ Result<std::string> read_file_of_owner(const std::string& path, mode_t forbidden
   // O_NONBLOCK: a pipe in place of the file is refused below, and must not make anybody wait before.
   const Open file{open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK)};
   struct stat found {};
-  // Of the file that is read, whatever has its name by now.
+  // The mode of what is read counts, whatever has its name by now.
   if (file.descriptor < 0 || fstat(file.descriptor, &found) != 0) {
     return refuse(fmt::format(": cannot be read: {}; {}", std::strerror(errno), remedy));
   }

@@ -167,6 +167,10 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   app.add_option("--max-memory-mib", config.max_memory_mib,
                  "Memory of the daemon above which loads are refused; 0: 80 % of what the container or machine has")
       ->check(CLI::Range(std::uint64_t{0}, kMostMib));
+  app.add_option("--max-message-mib", config.max_message_mib,
+                 "Memory of messages that have not arrived as a whole, and so of the largest one, as a scene with its "
+                 "mesh")
+      ->check(CLI::Range(std::uint64_t{1}, std::uint64_t{limits::kMaxControlMessageBytes >> 20}));
   app.add_option("--max-load-s", config.max_load_s, "Time that one load may take, estimated from its counts")
       ->check(check_seconds);
   app.add_option("--server-name", config.server_name, "<server> in the keys of the data plane")

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "core/bus_limits.h"
+#include "core/http2_limits.h"
 #include "core/log.h"
 #include "core/result.h"
 #include "core/state_limits.h"
@@ -32,6 +33,7 @@ struct Config {
   /// What scenes may take (control/admission.h). 0: the default.
   std::uint64_t max_scene_mib = 0;
   std::uint64_t max_memory_mib = 0;
+  std::uint64_t max_message_mib = limits::kDefaultHalfSentBytes >> 20;
   double max_load_s = 600;
   /// Folder of the keys (access/key_ring.h). Empty: no client is asked who it is, so every endpoint must be local.
   std::string keys;

@@ -49,7 +49,8 @@ Daemon::Daemon(const Config& config, const world::BackendDescription& backend)
                 [this] { wake_up_.signal(); },
                 {.scene_bytes = static_cast<double>(config.max_scene_mib) * kMib,
                  .all_bytes = static_cast<double>(config.max_memory_mib) * kMib,
-                 .load_s = config.max_load_s}) {
+                 .load_s = config.max_load_s,
+                 .message_bytes = static_cast<double>(config.max_message_mib) * kMib}) {
   identity_.set_version(TENSORMASS_VERSION);
   identity_.set_server(config.server_name);
   identity_.set_backend(backend.backend);

@@ -10,6 +10,8 @@ import itertools
 import json
 import re
 import socket
+import ssl
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from datetime import datetime
@@ -493,8 +495,8 @@ def replace_by_folder(path: Path) -> None:
     ("damage", "refusal"),
     [
         (lambda path: (path / "daemon.json").unlink(), "make keys with: tensormass keys init"),
-        (replace_by_folder, "daemon.json is not a file"),
-        (lambda path: (path / "daemon.json").chmod(0o644), "is open to every user of this machine"),
+        (replace_by_folder, "daemon.json: not a file"),
+        (lambda path: (path / "daemon.json").chmod(0o644), "every user of this machine can use it"),
         (lambda path: (path / "daemon.json").write_text("{}"), "does not hold a daemon's keys"),
         (lambda path: (path / "clients.json").write_text("[]"), "not a list of clients"),
         (lambda path: (path / "clients.json").unlink(), "make keys with: tensormass keys init"),
@@ -520,3 +522,64 @@ def test_half_a_handshake_holds_nothing(one: Guarded) -> None:
         half.sendall(b"\x16\x03\x01\x02\x00" + b"\x01" * 64)
         wait_for("the end of its time", lambda: one.malformed() > before)
     one.server.version()
+
+
+@contextlib.contextmanager
+def connected(daemon: Guarded, keys: ClientKeys) -> Iterator[ssl.SSLSocket]:
+    """A connection to the control plane with the keys of a client, without gRPC."""
+    context = ssl.create_default_context(cadata=keys.authority)
+    context.check_hostname = False
+    context.set_alpn_protocols(["h2"])
+    with tempfile.NamedTemporaryFile("w") as file:
+        file.write(keys.certificate + keys.private_key)
+        file.flush()
+        context.load_cert_chain(file.name)
+    host, port = daemon.server.address.rsplit(":", 1)
+    with (
+        socket.create_connection((host, int(port)), timeout=DEADLINE_S) as plain,
+        context.wrap_socket(plain, server_hostname=host) as secure,
+    ):
+        yield secure
+
+
+@pytest.mark.attack("one key opens connections without end", "512, which left none for other keys")
+def test_connections_of_a_key_are_bounded(one: Guarded, record_property: Callable[[str, object], None]) -> None:
+    limit = limit_of("server/core/http2_limits.h", "kMaxConnectionsPerKey")
+    preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
+    closed = 0
+    with contextlib.ExitStack() as parts:
+        for _ in range(limit + 8):
+            attacker = parts.enter_context(connected(one, one.keys["viewer"]))
+            try:
+                attacker.sendall(preface)
+                closed += attacker.recv(9) == b""
+            except (ConnectionError, ssl.SSLError):
+                closed += 1
+        with one.stub(one.keys["operator"]) as stub:
+            stub.GetVersion(control_pb2.GetVersionRequest(), timeout=DEADLINE_S)
+    record_property("now", f"{limit}, other keys go on")
+    assert closed == 8
+
+
+@pytest.mark.attack("one key subscribes over many ZeroMQ connections", "64 subscriptions for each connection")
+def test_subscriptions_of_a_key_are_bounded(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
+    limit, each = limit_of("server/core/bus_limits.h", "kMaxSubscriptionsPerKey"), 60
+    with guarded(tmp_path) as one, contextlib.ExitStack() as parts:
+        for first in range(0, limit + each, each):
+            subscriber = parts.enter_context(one.socket(zmq.SUB, one.keys["viewer"]))
+            subscriber.setsockopt(zmq.RECONNECT_IVL, -1)
+            for number in range(first, first + each):
+                subscriber.subscribe(f"tensormass/local/a/tool/{number}/feedback\0".encode())
+            subscriber.connect(one.version.zeromq_publish_endpoint)
+        wait_for("the refusal", lambda: "more than kMaxSubscriptionsPerKey subscriptions of a key" in one.log())
+        with one.socket(zmq.SUB, one.keys["operator"]) as honest:
+            honest.subscribe(key_of("frame", "a").encode() + b"\0")
+            honest.connect(one.version.zeromq_publish_endpoint)
+            honest.recv()
+    record_property("now", f"{limit} for each key")
+
+
+def limit_of(path: str, name: str) -> int:
+    found = re.search(rf"{name} = (\d+);", (Path(__file__).parents[2] / path).read_text())
+    assert found is not None
+    return int(found[1])

@@ -174,25 +174,41 @@ def test_headers_without_end_are_bounded(server: tm.Server, unharmed: Callable[[
         unharmed()
 
 
-@pytest.mark.attack("six half-sent messages of 300 MiB", "1.7 GiB")
-def test_half_sent_messages_are_bounded(server: tm.Server, record_property: Callable[[str, object], None]) -> None:
+@pytest.mark.attack("six half-sent messages of 300 MiB, and of 200 MiB", "666 MiB; before that, 1.7 GiB")
+@pytest.mark.parametrize("size_mib", [300, 200])
+def test_half_sent_messages_are_bounded(
+    server: tm.Server, size_mib: int, record_property: Callable[[str, object], None]
+) -> None:
+    restart_high_water_mark(server)
     before = memory_of(server, "VmHWM")
     attackers = [Stranger(server) for _ in range(6)]
-    closed = []
-    for attacker in attackers:
-        attacker.send(frame(HEADERS, END_HEADERS, 1, headers("LoadScene")))
-        closed.append(not attacker.send_message(300 * MIB, all_but=1))
-    grown = memory_of(server, "VmHWM") - before
-    record_property("now", f"+{grown / MIB:.0f} MiB, {sum(closed)} closed")
-    # Two fit beside each other, and a part of a third.
-    assert closed == [False, False, True, True, True, True]
-    assert grown < 1000 * MIB
+    with grpc.insecure_channel(server.address, options=[("grpc.use_local_subchannel_pool", 1)]) as channel:
+        stub = control_pb2_grpc.ControlStub(channel)
+        for attacker in attackers:
+            attacker.send(frame(HEADERS, END_HEADERS, 1, headers("LoadScene")))
+            attacker.send_message(size_mib * MIB, all_but=1)
+            stub.GetStatus(control_pb2.GetStatusRequest(scene="block"), timeout=DEADLINE_S)
+        grown = memory_of(server, "VmHWM") - before
+        # A message that goes on gets the memory of one that waits.
+        large = control_pb2.LoadSceneRequest(scene=block("large").message)
+        large.scene.bodies[0].initial_displacement_m = bytes(100 * MIB)
+        with pytest.raises(grpc.RpcError) as refused:
+            stub.LoadScene(large, timeout=DEADLINE_S)
+        assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT, refused.value.details()
+    record_property("now", f"+{grown / MIB:.0f} MiB")
+    assert grown <= 256 * MIB
     for attacker in attackers:
         attacker.socket.close()
-    # What they held is free again.
-    with Stranger(server) as client:
-        client.send(frame(HEADERS, END_HEADERS, 1, headers("LoadScene")))
-        assert client.send_message(300 * MIB, all_but=1)
+
+
+def test_a_message_that_is_too_large_is_told_the_remedy() -> None:
+    with attacked("--max-message-mib", "8") as server, grpc.insecure_channel(server.address) as channel:
+        stub = control_pb2_grpc.ControlStub(channel)
+        scene = block("large").message
+        scene.bodies[0].initial_displacement_m = bytes(9 * MIB)
+        with pytest.raises(grpc.RpcError) as refused:
+            stub.LoadScene(control_pb2.LoadSceneRequest(scene=scene), timeout=DEADLINE_S)
+        assert "larger than --max-message-mib; start the daemon with a larger one" in str(refused.value.details())
 
 
 @pytest.mark.attack("frames of PING and SETTINGS without end", "answered one by one")

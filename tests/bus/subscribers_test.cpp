@@ -42,6 +42,22 @@ TEST_F(SubscribersTest, AcceptsAsManyDifferentKeysAsTheLimit) {
   for (int i = 0; i < 1000; ++i) EXPECT_EQ(subscribe(connection(1, 6), feedback(1)), Verdict::kAccepted);
 }
 
+TEST_F(SubscribersTest, AllConnectionsOfAKeyHaveABound) {
+  std::vector<char> ids(limits::kMaxSubscriptionsPerKey);
+  const auto of = [&](std::size_t n, std::string_view client) {
+    return Subscribers::Connection{&ids[n], 10 + static_cast<int>(n), client};
+  };
+  std::size_t count = 0;
+  while (subscribe(of(count / 32, "alice"), feedback(count % 32)) == Verdict::kAccepted) ++count;
+  EXPECT_EQ(count, limits::kMaxSubscriptionsPerKey);
+  const std::size_t last = count / 32;
+  EXPECT_EQ(subscribe(of(last, "alice"), feedback(1)), Verdict::kIgnored) << "that connection was refused";
+  EXPECT_EQ(subscribe(of(last + 1, "alice"), feedback(1)), Verdict::kTooManyOfKey);
+  EXPECT_EQ(subscribe(of(last + 2, "bob"), feedback(1)), Verdict::kAccepted) << "another key has its own";
+  subscribers_.forget(10, now_);
+  EXPECT_EQ(subscribe(of(last + 3, "alice"), feedback(1)), Verdict::kAccepted) << "a connection that ended made room";
+}
+
 TEST_F(SubscribersTest, AnEndedSubscriptionMakesRoom) {
   for (std::size_t i = 0; i < 1000; ++i) {
     EXPECT_EQ(subscribe(connection(0, 5), feedback(i)), Verdict::kAccepted);

@@ -36,14 +36,15 @@ class Http2MeterTest : public testing::Test {
 
   std::atomic<std::uint64_t> half_sent{0};
   Http2Meter::Time now{};
-  Http2Meter meter{half_sent, now};
+  Http2Meter::Messages messages;
+  Http2Meter meter{half_sent, messages, now};
 };
 
 TEST_F(Http2MeterTest, FollowsACallInPiecesOfAnySize) {
   const std::string call = frame(kHeaders, 0, 1, "abc") + frame(kContinuation, kEndHeaders, 1, "d") +
                            frame(kData, 0, 1, message(100, 40)) + frame(kData, 0, 1, std::string(50, 'x'));
   for (std::size_t piece = 1; piece < call.size(); ++piece) {
-    Http2Meter one(half_sent, now);
+    Http2Meter one(half_sent, messages, now);
     EXPECT_EQ(one.from_client(kPreface, now), "");
     for (std::size_t i = 0; i < call.size(); i += piece) EXPECT_EQ(one.from_client(call.substr(i, piece), now), "");
     EXPECT_EQ(one.stream_count(), 1u);
@@ -99,22 +100,70 @@ TEST_F(Http2MeterTest, BoundsFramesWithoutACall) {
   EXPECT_EQ(count, limits::kMaxControlFramesAtOnce);
 }
 
-TEST_F(Http2MeterTest, BoundsWhatAllConnectionsHalfSend) {
-  half_sent = limits::kMaxHalfSentBytes - 100;
+TEST_F(Http2MeterTest, BoundsAMessageByWhatItAnnounces) {
+  messages.max_bytes = 10 << 20;
+  EXPECT_EQ(send(frame(kHeaders, kEndHeaders, 1, "h") + frame(kData, 0, 1, message(10 << 20, 100))), "");
+  EXPECT_TRUE(send(frame(kHeaders, kEndHeaders, 3, "h") + frame(kData, 0, 3, message((10 << 20) + 1, 0)))
+                  .starts_with("a message larger than --max-message-mib"));
+}
+
+TEST_F(Http2MeterTest, ALargeMessageNeedsRoom) {
+  std::uint64_t asked = 0;
+  bool room = true;
+  messages.has_room = [&](std::uint64_t bytes) {
+    asked = bytes;
+    return room;
+  };
+  EXPECT_EQ(send(frame(kHeaders, kEndHeaders, 1, "h") + frame(kData, 0, 1, message(2 << 20, 100))), "");
+  EXPECT_EQ(asked, 2u << 20);
+  room = false;
+  EXPECT_EQ(send(frame(kHeaders, kEndHeaders, 3, "h") + frame(kData, 0, 3, message(1 << 20, 100))), "");
+  EXPECT_TRUE(send(frame(kHeaders, kEndHeaders, 5, "h") + frame(kData, 0, 5, message((1 << 20) + 1, 100)))
+                  .starts_with("a message for which --max-memory-mib leaves no memory"));
+}
+
+TEST_F(Http2MeterTest, SaysHowMuchIsHeldForHowLong) {
   ASSERT_EQ(send(frame(kHeaders, kEndHeaders, 1, "h") + frame(kData, 0, 1, message(1000, 100))), "");
-  EXPECT_NE(send(frame(kData, 0, 1, "x")), "");
-  half_sent = limits::kMaxHalfSentBytes + 1000;
-  // A message that arrives as a whole is not held.
-  Http2Meter other(half_sent, now);
-  EXPECT_EQ(other.from_client(std::string(kPreface) + frame(kHeaders, kEndHeaders, 1, "h") +
-                                  frame(kData, kEndStream, 1, message(100, 100)),
-                              now),
-            "");
+  EXPECT_EQ(meter.held_byte_s(now), 0) << "of a client that sends";
+  EXPECT_EQ(meter.held_byte_s(now + 3s), 300);
+  now += 3s;
+  ASSERT_EQ(send(frame(kData, 0, 1, "x")), "");
+  EXPECT_EQ(meter.held_byte_s(now + 1s), 101);
+  ASSERT_EQ(send(frame(kData, kEndStream, 1, std::string(899, 'x'))), "");
+  EXPECT_EQ(meter.held_byte_s(now + 1s), 0) << "of a message that is complete";
+}
+
+TEST_F(Http2MeterTest, ConnectionsOfAKeyShareOneBudget) {
+  const auto budget = std::make_shared<Http2Meter::Budget>(now);
+  Http2Meter one(half_sent, messages, now);
+  {
+    Http2Meter other(half_sent, messages, now);
+    for (Http2Meter* of_key : {&one, &other}) {
+      of_key->share(budget);
+      ASSERT_EQ(of_key->from_client(kPreface, now), "");
+    }
+    std::uint32_t id = 1;
+    for (std::size_t i = 0; i < limits::kMaxStreamsPerConnection / 2; ++i, id += 2) {
+      ASSERT_EQ(one.from_client(frame(kHeaders, kEndHeaders, id, "h"), now), "");
+      ASSERT_EQ(other.from_client(frame(kHeaders, kEndHeaders, id, "h"), now), "");
+    }
+    EXPECT_NE(one.from_client(frame(kHeaders, kEndHeaders, id, "h"), now), "");
+  }
+  EXPECT_EQ(budget->streams, limits::kMaxStreamsPerConnection / 2 + 1) << "a connection that ends gives back";
+  Http2Meter next(half_sent, messages, now);
+  next.share(budget);
+  ASSERT_EQ(next.from_client(kPreface, now), "");
+  int resets = 0;
+  for (std::uint32_t id = 1; next.from_client(frame(kReset, 0, id, "xxxx"), now).empty(); id += 2) ++resets;
+  EXPECT_EQ(resets, limits::kMaxResetsAtOnce);
+  Http2Meter later(half_sent, messages, now);
+  later.share(budget);
+  EXPECT_NE(later.from_client(std::string(kPreface) + frame(kReset, 0, 1, "xxxx"), now), "") << "by another connection";
 }
 
 TEST_F(Http2MeterTest, AConnectionThatEndsHoldsNothing) {
   {
-    Http2Meter other(half_sent, now);
+    Http2Meter other(half_sent, messages, now);
     EXPECT_EQ(
         other.from_client(
             std::string(kPreface) + frame(kHeaders, kEndHeaders, 1, "h") + frame(kData, 0, 1, message(1000, 100)), now),

@@ -96,6 +96,61 @@ TEST_F(RelayTest, ClosesAConnectionThatPassesALimit) {
   EXPECT_LT(read(inner, 1 << 20).size(), pings.size()) << "and gRPC's end is closed, too";
 }
 
+/// The start of a call, and of its message: `size` bytes are announced and `sent` follow, 16 KiB a frame at most.
+std::string half_sent_message(std::size_t size, std::size_t sent) {
+  const auto frame = [](char type, char flags, const std::string& payload) {
+    std::string out(9, '\0');
+    out[1] = static_cast<char>(payload.size() >> 8);
+    out[2] = static_cast<char>(payload.size());
+    out[3] = type;
+    out[4] = flags;
+    out[8] = 1;
+    return out + payload;
+  };
+  std::string prefix(5, '\0');
+  for (int i = 1; i < 5; ++i) prefix[static_cast<std::size_t>(i)] = static_cast<char>(size >> (32 - 8 * i));
+  std::string out = std::string(kPreface) + frame(1, 4, "h") + frame(0, 0, prefix);
+  for (; sent > 0; sent -= std::min<std::size_t>(sent, 16'384)) {
+    out += frame(0, 0, std::string(std::min<std::size_t>(sent, 16'384), 'x'));
+  }
+  return out;
+}
+
+TEST_F(RelayTest, WhoWaitsWithAHalfSentMessageMakesRoomForWhoSends) {
+  constexpr std::size_t kMax = 100'000;
+  std::vector<Descriptor> of_grpc, clients;
+  std::vector<std::string> reasons;
+  Relay bounded([&](int descriptor) { of_grpc.emplace_back(descriptor); },
+                [&](std::string_view why) { reasons.emplace_back(why); }, {}, {.max_bytes = kMax});
+  const auto half_send = [&](std::size_t bytes) {
+    int ends[2];
+    ASSERT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, ends), 0);
+    clients.emplace_back(ends[0]);
+    bounded.add(ends[1]);
+    const std::string bytes_sent = half_sent_message(kMax, bytes);
+    send_all(clients.back(), bytes_sent);
+    EXPECT_EQ(read(of_grpc.back(), bytes_sent.size()).size(), bytes_sent.size()) << "let through";
+  };
+  half_send(20'000);
+  half_send(70'000);
+  half_send(30'000);
+  const std::string goodbye = read(clients[1], 1 << 20);
+  EXPECT_EQ(goodbye.substr(3, 6), std::string("\x07\0\0\0\0\0", 6)) << "GOAWAY";
+  EXPECT_NE(goodbye.find("--max-message-mib; the one that waited with most made room"), std::string::npos);
+  EXPECT_EQ(read(of_grpc[1], 1 << 20), "") << "gRPC's end is closed, too";
+  ASSERT_EQ(reasons.size(), 1u);
+  // The others go on, until they are alone with too much.
+  send_all(clients[2], half_sent_message(0, 49'000).substr(kPreface.size() + 9 + 1 + 9 + 5));
+  EXPECT_FALSE(read(of_grpc[2], 49'000).empty());
+  EXPECT_EQ(reasons.size(), 1u);
+}
+
+TEST_F(RelayTest, TellsWhyAMessageIsTooLarge) {
+  send_all(client, half_sent_message(limits::kDefaultHalfSentBytes + 1, 0));
+  EXPECT_NE(read(client, 1 << 20).find("a message larger than --max-message-mib"), std::string::npos);
+  EXPECT_TRUE(tests::eventually([&] { return refused == 1; }, std::chrono::seconds(20)));
+}
+
 // Both ends of each connection are here, and those of gRPC.
 constexpr rlim_t kFiles = 4 * (limits::kMaxControlConnections + limits::kMaxShaking) + 64;
 
@@ -158,6 +213,46 @@ TEST(Relay, PeersThatShakeHandsTakeNoPlaceOfAClient) {
   EXPECT_TRUE(shake_hands(keys, clients.back().get()));
   EXPECT_TRUE(tests::eventually([&] { return let_in == 1; }, std::chrono::seconds(20)));
   EXPECT_TRUE(tests::eventually([&] { return refused >= limits::kMaxControlConnections; }, std::chrono::seconds(20)));
+}
+
+TEST(Relay, AKeyHasAPartOfTheConnections) {
+  if (!allow_files()) GTEST_SKIP() << "a process may not open " << kFiles << " files here";
+  std::signal(SIGPIPE, SIG_IGN);  // as the daemon does, because OpenSSL writes without MSG_NOSIGNAL
+  const tests::KeyFolder keys("");
+  auto tls = TlsContext::make(keys.certificate(), keys.private_key(), keys.certificate());
+  ASSERT_TRUE(tls) << tls.error().message;
+  std::atomic<std::size_t> let_in = 0, refused = 0;
+  std::vector<Descriptor> inner;
+  Relay relay(
+      [&](int descriptor) {
+        inner.emplace_back(descriptor);
+        ++let_in;
+      },
+      [&](std::string_view) { ++refused; },
+      {.tls = tls->get(), .knows = [](std::string_view name) { return name == tests::KeyFolder::kName; }});
+  std::vector<Descriptor> clients;
+  const auto connect = [&] {
+    int ends[2];
+    ASSERT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends), 0);
+    ASSERT_EQ(fcntl(ends[1], F_SETFL, O_NONBLOCK), 0);
+    clients.emplace_back(ends[0]);
+    relay.add(ends[1]);
+    shake_hands(keys, clients.back().get());
+  };
+  for (std::size_t i = 0; i < limits::kMaxConnectionsPerKey; ++i) connect();
+  EXPECT_TRUE(tests::eventually([&] { return let_in == limits::kMaxConnectionsPerKey; }, std::chrono::seconds(20)));
+  connect();
+  EXPECT_TRUE(tests::eventually([&] { return refused == 1; }, std::chrono::seconds(20)));
+  EXPECT_EQ(let_in, limits::kMaxConnectionsPerKey);
+  // One that ends makes room.
+  clients.front() = Descriptor();
+  inner.front() = Descriptor();
+  EXPECT_TRUE(tests::eventually(
+      [&] {
+        connect();
+        return let_in > limits::kMaxConnectionsPerKey;
+      },
+      std::chrono::seconds(20)));
 }
 
 }  // namespace

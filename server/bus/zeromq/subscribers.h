@@ -21,8 +21,8 @@ namespace tensormass::bus {
 /// Which peer of the publish socket subscribed to what, and whether it may.
 ///
 /// A peer may subscribe to exact keys of this server's streams, each with its zero byte, and to
-/// limits::kMaxSubscriptionsPerPeer of them at once. ZeroMQ itself stores every prefix that any peer asks for, and
-/// sends everything to a peer that asks for the empty one.
+/// limits::kMaxSubscriptionsPerPeer of them at once; with keys, all peers of a key to kMaxSubscriptionsPerKey. ZeroMQ
+/// itself stores every prefix that any peer asks for, and sends everything to a peer that asks for the empty one.
 ///
 /// ZeroMQ's XPUB_MANUAL would refuse single subscriptions. It is not used: up to version 4.3.4, that of Debian 12, the
 /// socket then keeps a pointer to a connection that may have ended (fixed upstream by "XPUB socket allows manual
@@ -47,26 +47,30 @@ class Subscribers {
     kIgnored,   ///< it comes from a peer that was refused, or is gone
     kWrongKey,  ///< not an exact key of a stream of this server
     kTooMany,
+    kTooManyOfKey,  ///< all connections of its client together have the bound
   };
 
   /// `server`: the <server> that keys must name.
   explicit Subscribers(std::string server) : server_(std::move(server)) {}
 
-  /// Notes a subscription to the prefix `subscription`, which came in `request`. A peer that is refused, by kWrongKey
-  /// or kTooMany, must be disconnected. kIgnored is the answer to what it sent before that.
+  /// Notes a subscription to the prefix `subscription`, which came in `request`. A peer that is refused, by kWrongKey,
+  /// kTooMany or kTooManyOfKey, must be disconnected. kIgnored is the answer to what it sent before that.
   Verdict subscribe(const Connection& from, zmq::message_t& request, std::string_view subscription) {
     Peer& peer = find_or_add(from, request);
     if (peer.refused || peer.gone) return Verdict::kIgnored;
     const bool exact =
         subscription.ends_with('\0') && is_stream_key(server_, subscription.substr(0, subscription.size() - 1));
     if (exact && peer.subscriptions.contains(subscription)) return Verdict::kAccepted;
-    if (exact && peer.subscriptions.size() < limits::kMaxSubscriptionsPerPeer) {
+    const bool too_many = peer.subscriptions.size() >= limits::kMaxSubscriptionsPerPeer;
+    const bool too_many_of_key =
+        !from.client.empty() && subscriptions_of(from.client) >= limits::kMaxSubscriptionsPerKey;
+    if (exact && !too_many && !too_many_of_key) {
       peer.subscriptions.emplace(subscription);
       return Verdict::kAccepted;
     }
     peer.subscriptions.clear();
     peer.refused = true;
-    return exact ? Verdict::kTooMany : Verdict::kWrongKey;
+    return !exact ? Verdict::kWrongKey : too_many ? Verdict::kTooMany : Verdict::kTooManyOfKey;
   }
   void unsubscribe(const Connection& from, std::string_view subscription) {
     const auto found = peers_.find(from.id);
@@ -140,6 +144,13 @@ class Subscribers {
       by_descriptor_.insert_or_assign(from.descriptor, from.id);
     }
     return found->second;
+  }
+  std::size_t subscriptions_of(std::string_view client) const {
+    std::size_t count = 0;
+    for (const auto& [id, peer] : peers_) {
+      if (peer.client == client) count += peer.subscriptions.size();
+    }
+    return count;
   }
   void leave(Peer& peer, Time now) {
     peer.subscriptions.clear();

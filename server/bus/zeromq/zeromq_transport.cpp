@@ -217,6 +217,10 @@ void ZeroMqTransport::serve_request(zmq::message_t& request) {
       return disconnect(from.descriptor,
                         "more than kMaxSubscriptionsPerPeer subscriptions, on the ZeroMQ publish endpoint; their "
                         "client was disconnected");
+    case Subscribers::Verdict::kTooManyOfKey:
+      return disconnect(from.descriptor,
+                        "more than kMaxSubscriptionsPerKey subscriptions of a key, on the ZeroMQ publish endpoint; the "
+                        "client that asked for one more was disconnected");
     case Subscribers::Verdict::kAccepted:
       break;
   }

@@ -23,7 +23,7 @@ def read_secret(path: Path, name: str, missing: str, exposed: str) -> str:
     """
     try:
         with path.open("rb") as file:
-            # Of the file that is read, whatever has its name by now.
+            # The mode of what is read counts, whatever has its name by now.
             if os.fstat(file.fileno()).st_mode & _OTHERS:
                 raise InvalidArgumentError(
                     f"{name}: every user of this machine can use it; {exposed}chmod o-rwx {path}"
