@@ -147,7 +147,7 @@ void StateKeeper::forget(const std::string& name) {
 void StateKeeper::join_ended() {
   const std::lock_guard lock(mutex_);
   std::erase_if(ended_, [](const std::unique_ptr<Scene>& scene) {
-    if (!scene->taken) return false;
+    if (!scene->done) return false;
     scene->thread.join();
     return true;
   });
@@ -162,7 +162,7 @@ void StateKeeper::run(Scene& scene) {
     keep(scene);
     lock.lock();
   }
-  scene.taken = true;
+  scene.taken = scene.done = true;
   wake_.notify_all();
 }
 

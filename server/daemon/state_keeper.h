@@ -51,8 +51,9 @@ class StateKeeper final : public control::SceneFollower {
     std::string name;
     StateStore::Ticket ticket = 0;  // 0: the scene could not be written yet
     std::optional<world::StateMark> written;
-    bool last = false, taken = false, ended = false;  // guarded by mutex_, as is next
-    std::chrono::milliseconds next{};                 // time until the next snapshot
+    // Guarded by mutex_, as is next. done: the thread needs the mutex no more.
+    bool last = false, taken = false, ended = false, done = false;
+    std::chrono::milliseconds next{};  // time until the next snapshot
     std::thread thread;
   };
 
