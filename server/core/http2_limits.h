@@ -26,7 +26,7 @@ inline constexpr double kMaxControlFramesAtOnce = 1000, kMaxControlFramesPerS = 
 /// Bytes of messages that have not arrived as a whole, of all connections, unless `--max-message-mib` says otherwise;
 /// and so of the largest message. Beyond it the connection ends that holds most for longest. Ten million tetrahedra
 /// fit.
-inline constexpr std::uint64_t kDefaultHalfSentBytes = std::uint64_t{224} << 20;
+inline constexpr std::uint64_t kDefaultHalfSentBytes = std::uint64_t{200} << 20;
 /// A message up to so many bytes is let in whatever the daemon holds, so that one without room can be told to unload.
 inline constexpr std::uint64_t kSmallMessageBytes = std::uint64_t{1} << 20;
 /// Time in which the next bytes of a message must come.
