@@ -85,7 +85,7 @@ def main() -> None:
 
 
 async def _measure(case: Case, seconds: float, options: list[str]) -> dict[str, Any]:
-    with _running(case, options) as (run, where), tm.connect(where["control"]) as server:
+    with running(case, options) as (run, where), tm.connect(where["control"]) as server:
         drawn: dict[str, Any] = {}
         if case.page:
             with chromium(where["viewer"], SOFTWARE_FLAGS) as profile:
@@ -150,7 +150,7 @@ async def _watch(profile: Path, seconds: float) -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def _running(case: Case, options: list[str]) -> Iterator[tuple[subprocess.Popen[str], dict[str, str]]]:
+def running(case: Case, options: list[str]) -> Iterator[tuple[subprocess.Popen[str], dict[str, str]]]:
     """A running demo and where it listens."""
     command = [sys.executable, "-m", "tensormass", "run", SCENE, "--json", *options]
     if not case.fit:
@@ -175,7 +175,7 @@ def _parts(run: subprocess.Popen[str]) -> dict[str, Any]:
     """What the parts of the run used of the cores since their start, and how the daemon is scheduled."""
     cores = {"gateway": _cores(run.pid)}
     realtime = False
-    for pid in _children(run.pid):
+    for pid in children(run.pid):
         name = Path(f"/proc/{pid}/comm").read_text().strip()
         if name == "tensormassd":
             realtime = os.sched_getscheduler(pid) & os.SCHED_FIFO != 0
@@ -184,7 +184,7 @@ def _parts(run: subprocess.Popen[str]) -> dict[str, Any]:
     return {"cores": cores, "daemon_realtime": realtime}
 
 
-def _children(pid: int) -> list[int]:
+def children(pid: int) -> list[int]:
     lists = Path(f"/proc/{pid}/task").glob("*/children")
     return [int(child) for of_thread in lists for child in of_thread.read_text().split()]
 
