@@ -274,7 +274,7 @@ export class ViewerPage {
     const said = await this.page.evaluate(() => ({
       text: document.body.innerText.replaceAll(/\s+/g, " ").slice(0, 300),
       quality: document.documentElement.dataset.quality,
-      state: window.tensormass?.state(),
+      state: "tensormass" in window ? window.tensormass.state() : null,
     }));
     return JSON.stringify(said);
   }

@@ -1,7 +1,7 @@
 // The level of quality that the page chooses on slow and quick machines, in Chromium on the built page.
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 
-import { Browser, Stack, missing, type ViewerPage } from "./harness";
+import { Browser, Stack, missing } from "./harness";
 
 const absent = missing();
 if (absent.length > 0) {
