@@ -7,6 +7,7 @@
 #include <sys/un.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <cstring>
 #include <new>
@@ -135,8 +136,8 @@ void Relay::run() {
   std::array<epoll_event, 64> events;
   while (!stopping_) {
     const int period_ms = static_cast<int>(std::chrono::milliseconds(kCheckPeriod).count());
-    const int ready =
-        epoll_wait(poll_.get(), events.data(), static_cast<int>(events.size()), connections_.empty() ? -1 : period_ms);
+    const int ready = epoll_wait(poll_.get(), events.data(), static_cast<int>(events.size()),
+                                 connections_.empty() && leaving_.empty() ? -1 : period_ms);
     try {
       for (int i = 0; i < ready; ++i) {
         const std::uint64_t key = events[static_cast<std::size_t>(i)].data.u64;
@@ -144,9 +145,12 @@ void Relay::run() {
           take_new();
           continue;
         }
-        // Gone, if its other socket was served in this turn.
+        // Gone or leaving, if its other socket was served in this turn.
         const auto found = connections_.find(key / 2);
-        if (found == connections_.end()) continue;
+        if (found == connections_.end()) {
+          discard(key / 2);
+          continue;
+        }
         if (carry(*found->second) == Outcome::kGoesOn) {
           wait_for(found->first, *found->second);
         } else {
@@ -187,7 +191,28 @@ void Relay::make_room_to_shake_hands() {
 Relay::Connections::iterator Relay::close(Connections::iterator connection) {
   if (connection->second->counted) count_.fetch_sub(1);
   if (connection->second->key != nullptr) --connection->second->key->connections;
+  if (connection->second->told) let_leave(connection->first, *connection->second);
   return connections_.erase(connection);
+}
+
+void Relay::let_leave(std::uint64_t id, Connection& connection) {
+  if (leaving_.size() >= limits::kMaxLeaving) return;
+  const int descriptor = connection.client.get();
+  shutdown(descriptor, SHUT_WR);
+  watch(2 * id, descriptor, connection.client_events, EPOLLIN);
+  leaving_.emplace(id, Leaving{std::move(connection.client), Clock::now() + limits::kLeaveTime});
+}
+
+void Relay::discard(std::uint64_t id) {
+  const auto leaving = leaving_.find(id);
+  if (leaving == leaving_.end()) return;
+  std::array<char, std::size_t{16} << 10> bytes;
+  for (int turn = 0; turn < kBuffersPerTurn; ++turn) {
+    const ssize_t size = recv(leaving->second.client.get(), bytes.data(), bytes.size(), 0);
+    if (size > 0) continue;
+    if (size == 0 || !would_block()) leaving_.erase(leaving);
+    return;
+  }
 }
 
 Relay::Outcome Relay::carry(Connection& connection) {
@@ -233,7 +258,7 @@ std::string_view Relay::make_room_for_messages(const Connection& active) {
   return {};
 }
 
-void Relay::say_goodbye(const Connection& connection, std::string_view why) {
+void Relay::say_goodbye(Connection& connection, std::string_view why) {
   if (connection.inner.get() < 0 || !connection.out.empty() || !connection.meter.server_is_between_frames()) return;
   // RFC 9113, section 6.8: GOAWAY, which all calls so far outlive; ENHANCE_YOUR_CALM, and a text.
   constexpr std::string_view kHeader("\x07\0\0\0\0\0", 6), kLastCall("\x7f\xff\xff\xff", 4), kCalm("\0\0\0\x0b", 4);
@@ -243,7 +268,8 @@ void Relay::say_goodbye(const Connection& connection, std::string_view why) {
   frame += static_cast<char>(size);
   frame.append(kHeader).append(kLastCall).append(kCalm).append(why);
   // If the socket is full, the client learns less.
-  static_cast<void>(OfClient{connection.client.get(), connection.tls.get()}.write(frame.data(), frame.size()));
+  const ssize_t written = OfClient{connection.client.get(), connection.tls.get()}.write(frame.data(), frame.size());
+  connection.told = written == static_cast<ssize_t>(frame.size());
 }
 
 Relay::Outcome Relay::shake_hands(Connection& connection) {
@@ -345,6 +371,7 @@ void Relay::check_time() {
     refuse_(why);
     connection = close(connection);
   }
+  std::erase_if(leaving_, [now](const auto& entry) { return now >= entry.second.until; });
   std::erase_if(keys_,
                 [this](const auto& entry) { return entry.second->connections == 0 && !guard_.knows(entry.first); });
 }

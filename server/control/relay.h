@@ -81,8 +81,15 @@ class Relay {
     Http2Meter meter;
     Buffer in, out;
     bool counted = false;                               // in count_
+    bool told = false;                                  // why it ends, by say_goodbye
     std::shared_ptr<Key> key;                           // nullptr in plain text, and before the handshake
     std::uint32_t client_events = 0, inner_events = 0;  // that epoll waits for
+  };
+  /// A client that was told why its connection ends. Were its socket closed while it sends, it would see a reset, and
+  /// gRPC would read no reason.
+  struct Leaving {
+    Descriptor client;
+    std::chrono::steady_clock::time_point until;
   };
   enum class Outcome : std::uint8_t { kGoesOn, kEnded };
 
@@ -98,7 +105,11 @@ class Relay {
   /// together have messages_.max_bytes at most. Returns why `active`, which sends now, must end too, or "".
   std::string_view make_room_for_messages(const Connection& active);
   /// Tells the client why its connection ends, by a frame of HTTP/2, if one may follow. gRPC's errors repeat the text.
-  static void say_goodbye(const Connection& connection, std::string_view why);
+  static void say_goodbye(Connection& connection, std::string_view why);
+  /// Keeps the client's socket until the client closes it, limits::kLeaveTime at most.
+  void let_leave(std::uint64_t id, Connection& connection);
+  /// Throws away what a leaving client sends.
+  void discard(std::uint64_t id);
   /// Counts the connection, makes the socket pair and hands gRPC its end. Returns false beyond kMaxControlConnections
   /// and without descriptors.
   bool connect_inner(Connection& connection);
@@ -127,6 +138,7 @@ class Relay {
   Connections connections_;
   // By the id of a client. Kept while the key is good: a client that leaves and comes back has no more left.
   std::map<std::string, std::shared_ptr<Key>, std::less<>> keys_;
+  std::map<std::uint64_t, Leaving> leaving_;  // by the id that the connection had
   std::uint64_t next_id_ = 1;
   std::chrono::steady_clock::time_point next_check_{};
   std::thread thread_;

@@ -12,6 +12,10 @@ namespace tensormass::limits {
 inline constexpr std::size_t kMaxControlConnections = 512;
 /// Connections that shake hands of TLS at once. When one more comes, the oldest is closed.
 inline constexpr std::size_t kMaxShaking = 64;
+/// Connections that were told why they end, and so long for each until it has read that. A further one is closed at
+/// once.
+inline constexpr std::size_t kMaxLeaving = 64;
+inline constexpr std::chrono::seconds kLeaveTime{1};
 /// Connections of one key at once; a further one is closed. A program has one for each daemon that it talks to.
 inline constexpr std::size_t kMaxConnectionsPerKey = 64;
 /// Calls that a connection may have open at once. With keys, all connections of a key together.
