@@ -210,9 +210,10 @@ def test_a_message_that_is_too_large_is_told_the_remedy() -> None:
         for _ in range(10):
             # Channels of one address would share a connection, and its wait before the next one.
             options = [("grpc.use_local_subchannel_pool", 1)]
-            with grpc.insecure_channel(server.address, options) as channel, pytest.raises(grpc.RpcError) as refused:
+            with grpc.insecure_channel(server.address, options) as channel:
                 stub = control_pb2_grpc.ControlStub(channel)
-                stub.LoadScene(control_pb2.LoadSceneRequest(scene=scene), timeout=DEADLINE_S)
+                with pytest.raises(grpc.RpcError) as refused:
+                    stub.LoadScene(control_pb2.LoadSceneRequest(scene=scene), timeout=DEADLINE_S)
             assert "larger than --max-message-mib; start the daemon with a larger one" in str(refused.value.details())
 
 
