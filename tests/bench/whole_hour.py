@@ -31,25 +31,40 @@ import tensormass as tm
 PARTS = 12
 #: Samples of memory in a part: its median is what the part used.
 SAMPLES = 10
-#: Trend of the second half above which a process is said to grow, and change of the rest [MiB an hour].
+#: Trend of the second half above which a process is said to grow [MiB an hour]. A short run says nothing: there
+#: a single MiB is as much.
 MOST_GROWTH_MIB_PER_H = 10.0
+#: Figures of a program, by the name that Linux gives its process: at most 15 letters.
+PROGRAMS = {"tensormassd": "daemon", "tensormass-hapt": "haptic"}
 RECORDING_BYTES, RECORDINGS_KEPT = "64M", 2
 
 
 class Ages:
-    """Time from a hand's pose to the arrival of its force, of all feedback of a tool, taken by a thread of its own."""
+    """Time from a hand's pose to the arrival of its force, of all feedback of a tool, taken by a thread of its own.
+
+    The hand is a process of this machine: tensormass-haptic stamps its poses with the monotonic clock that all share.
+    """
 
     def __init__(self, scene: tm.SceneHandle, tool: str) -> None:
         self._ages_s: list[float] = []
         self._lock = threading.Lock()
         self._stream = scene.feedbacks(tool)
-        threading.Thread(target=self._take, daemon=True).start()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._take, daemon=True)
+        self._thread.start()
 
     def _take(self) -> None:
         for feedback in self._stream:
+            if self._ended.is_set():
+                return
             if feedback.pose_sequence:
                 with self._lock:
-                    self._ages_s.append((time.time_ns() - feedback.client_time_ns) * 1e-9)
+                    self._ages_s.append((time.monotonic_ns() - feedback.client_time_ns) * 1e-9)
+
+    def end(self) -> None:
+        """Ends the thread, which must not read from a connection that is closed."""
+        self._ended.set()
+        self._thread.join()
 
     def percentiles_ms(self) -> tuple[float | None, float | None]:
         """Median and 99th percentile since the last call; None without feedback."""
@@ -91,12 +106,13 @@ def _measure(seconds: float, scene_name: str, recording: Path) -> dict[str, Any]
                 pids = {"gateway": run.pid, "recorder": recorder.pid}
                 for pid in first_look.children(run.pid):
                     name = Path(f"/proc/{pid}/comm").read_text().strip()
-                    if name.startswith("tensormass"):
-                        pids[name] = pid
+                    if name in PROGRAMS:
+                        pids[PROGRAMS[name]] = pid
                 rows = _watch(seconds, scene, ages, pids)
                 if recorder.poll() is not None:
                     sys.exit(f"the recorder ended with status {recorder.returncode}")
             finally:
+                ages.end()
                 end(recorder)
         status = scene.status()
         files = sorted(recording.parent.glob("*.mcap"))
