@@ -20,6 +20,7 @@ struct OpenSslFree {
 
 using Bio = std::unique_ptr<BIO, OpenSslFree<BIO_free>>;
 using Certificate = std::unique_ptr<X509, OpenSslFree<X509_free>>;
+using Digest = std::unique_ptr<EVP_MD_CTX, OpenSslFree<EVP_MD_CTX_free>>;
 using PrivateKey = std::unique_ptr<EVP_PKEY, OpenSslFree<EVP_PKEY_free>>;
 
 /// A source that reads `pem`, which must outlive it.

@@ -28,7 +28,7 @@ struct Config {
   std::string zenoh_listen = "tcp/127.0.0.1:7447";
   /// Clients connected over zenoh at once.
   std::uint32_t zenoh_sessions = limits::kDefaultZenohSessions;
-  /// HOST:PORT of /metrics for Prometheus, on this machine alone. Empty: there is none; users write "off".
+  /// HOST:PORT at which Prometheus scrapes /metrics; only this machine reaches it. Empty if the option is "off".
   std::string metrics;
   /// What scenes may take (control/admission.h). 0: the default.
   std::uint64_t max_scene_mib = 0;
@@ -39,7 +39,7 @@ struct Config {
   std::string keys;
   spdlog::level::level_enum log_level = spdlog::level::info;
   log::Format log_format = log::Format::kText;
-  /// Endpoint of the health service without keys (control/health_server.h). Empty: there is none; users write "off".
+  /// HOST:PORT of the health service, which asks for no key (control/health_server.h). Empty if the option is "off".
   std::string health;
   /// Folder in which scenes and their snapshots are kept (state_store.h). Empty: nothing is kept.
   std::string state;

@@ -98,7 +98,7 @@ Result<void> Daemon::open(const Config& config, const Process& process) {
     set_health("live", true);
     set_health("ready", false);
   }
-  // Before the control endpoint answers: who asks for a scene that is coming back must not hear that there is none.
+  // The control endpoint opens later: until its scenes are loaded, the daemon would answer that they do not exist.
   if (keeper_) keeper_->bring_back(registry_, process.stop_asked);
   const auto on_refused = [this](std::string_view why) {
     ++refused_connections_;

@@ -116,9 +116,8 @@ class Daemon {
 class ReadyFile {
  public:
   /// Writes {"pid", "version", "server", "backend", "device", "control", "zeromq_publish", "zeromq_pose", "zenoh",
-  /// "metrics"}. An
-  /// endpoint that is turned off is "". Fails with kInvalidArgument if `path` exists and is not a regular file, and
-  /// with kUnavailable if the file cannot be written.
+  /// "metrics"}. An endpoint that is turned off is "". Fails with kInvalidArgument if `path` exists and is not a
+  /// regular file, and with kUnavailable if the file cannot be written.
   static Result<ReadyFile> write(const std::string& path, const Daemon& daemon);
   ReadyFile(ReadyFile&& other) noexcept : path_(std::exchange(other.path_, {})), inode_(other.inode_) {}
   ~ReadyFile();

@@ -98,17 +98,14 @@ void StateKeeper::take_last(std::chrono::milliseconds at_most) {
   });
 }
 
-void StateKeeper::follow(const control::RunnerPtr& runner) {
-  StateStore::Ticket ticket = 0;
-  if (runner->source() != nullptr) {
-    const auto added = store_->add(*runner->source());
-    if (added) {
-      ticket = *added;
-    } else {
-      log_failure(runner->name(), added.error());
-    }
-  }
-  start(runner, ticket);
+void StateKeeper::follow(const control::RunnerPtr& runner) { start(runner, add(*runner)); }
+
+/// Writes the scene. Returns 0 if it could not be written, or there is none to write.
+StateStore::Ticket StateKeeper::add(const world::Runner& runner) {
+  if (runner.source() == nullptr) return 0;
+  const auto added = store_->add(*runner.source());
+  if (!added) log_failure(runner.name(), added.error());
+  return added.value_or(0);
 }
 
 void StateKeeper::start(const control::RunnerPtr& runner, StateStore::Ticket ticket) {
@@ -179,10 +176,8 @@ void StateKeeper::keep(Scene& scene) {
   if (runner == nullptr) return took(scene, period_);
   try {
     if (scene.ticket == 0 && runner->source() != nullptr) {
-      const auto added = store_->add(*runner->source());
-      if (!added) log_failure(scene.name, added.error());
-      if (!added) return took(scene, kStateRetry);
-      scene.ticket = *added;
+      scene.ticket = add(*runner);
+      if (scene.ticket == 0) return took(scene, kStateRetry);
     }
     const world::StateMark mark = runner->mark();
     if (scene.written == mark) return took(scene, period_);

@@ -57,6 +57,7 @@ class StateKeeper final : public control::SceneFollower {
     std::thread thread;
   };
 
+  StateStore::Ticket add(const world::Runner& runner);
   void restore(const control::RunnerPtr& runner);
   void start(const control::RunnerPtr& runner, StateStore::Ticket ticket);
   void run(Scene& scene);

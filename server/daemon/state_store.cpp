@@ -18,6 +18,7 @@
 #include <fmt/format.h>
 #include <openssl/evp.h>
 
+#include "access/openssl_pointers.h"
 #include "core/limits.h"
 #include "core/names.h"
 #include "core/state_limits.h"
@@ -50,13 +51,13 @@ constexpr const char* kAside = "aside";
 StateSum sum_of(FileHeader header, std::string_view first, std::string_view second) {
   header.sum = {};
   StateSum sum{};
-  EVP_MD_CTX* const context = EVP_MD_CTX_new();
+  const access::Digest digest(EVP_MD_CTX_new());
+  EVP_MD_CTX* const context = digest.get();
   const bool done = context != nullptr && EVP_DigestInit_ex(context, EVP_sha256(), nullptr) == 1 &&
                     EVP_DigestUpdate(context, &header, sizeof(header)) == 1 &&
                     EVP_DigestUpdate(context, first.data(), first.size()) == 1 &&
                     EVP_DigestUpdate(context, second.data(), second.size()) == 1 &&
                     EVP_DigestFinal_ex(context, sum.data(), nullptr) == 1;
-  EVP_MD_CTX_free(context);
   if (!done) throw std::bad_alloc();  // nothing else can fail here
   return sum;
 }

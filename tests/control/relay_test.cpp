@@ -177,6 +177,15 @@ TEST(Relay, RefusesMoreConnectionsThanItsLimit) {
   EXPECT_EQ(inner.size(), limits::kMaxControlConnections);
 }
 
+/// Connects one more client, whose end blocks, to a relay.
+void connect_blocking(Relay& relay, std::vector<Descriptor>& clients) {
+  int ends[2];
+  ASSERT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends), 0);
+  ASSERT_EQ(fcntl(ends[1], F_SETFL, O_NONBLOCK), 0);
+  clients.emplace_back(ends[0]);
+  relay.add(ends[1]);
+}
+
 /// Shakes hands as a client with the keys of a folder; socket: blocking. Returns whether the relay let it in.
 bool shake_hands(const tests::KeyFolder& keys, int socket) {
   const std::unique_ptr<SSL_CTX, decltype(&SSL_CTX_free)> context(SSL_CTX_new(TLS_client_method()), &SSL_CTX_free);
@@ -201,13 +210,7 @@ TEST(Relay, PeersThatShakeHandsTakeNoPlaceOfAClient) {
       [&](std::string_view) { ++refused; },
       {.tls = tls->get(), .knows = [](std::string_view name) { return name == tests::KeyFolder::kName; }});
   std::vector<Descriptor> clients;
-  const auto connect = [&] {
-    int ends[2];
-    ASSERT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends), 0);
-    ASSERT_EQ(fcntl(ends[1], F_SETFL, O_NONBLOCK), 0);
-    clients.emplace_back(ends[0]);
-    relay.add(ends[1]);
-  };
+  const auto connect = [&] { connect_blocking(relay, clients); };
   for (std::size_t i = 0; i < limits::kMaxControlConnections + limits::kMaxShaking; ++i) connect();
   connect();
   EXPECT_TRUE(shake_hands(keys, clients.back().get()));
@@ -232,11 +235,7 @@ TEST(Relay, AKeyHasAPartOfTheConnections) {
       {.tls = tls->get(), .knows = [](std::string_view name) { return name == tests::KeyFolder::kName; }});
   std::vector<Descriptor> clients;
   const auto connect = [&] {
-    int ends[2];
-    ASSERT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends), 0);
-    ASSERT_EQ(fcntl(ends[1], F_SETFL, O_NONBLOCK), 0);
-    clients.emplace_back(ends[0]);
-    relay.add(ends[1]);
+    connect_blocking(relay, clients);
     shake_hands(keys, clients.back().get());
   };
   for (std::size_t i = 0; i < limits::kMaxConnectionsPerKey; ++i) connect();

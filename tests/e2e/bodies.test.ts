@@ -2,7 +2,7 @@
 import type { PNG } from "pngjs";
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 
-import { Browser, Stack, difference, missing } from "./harness";
+import { Browser, Stack, difference, endTest, missing } from "./harness";
 
 const absent = missing();
 if (absent.length > 0) {
@@ -28,16 +28,7 @@ describe.skipIf(absent.length > 0)("bodies", () => {
     ({ stack, url } = await Stack.start());
   });
 
-  afterEach(async ({ task }) => {
-    const failed = task.result?.state === "fail";
-    const errors = await browser.closePages(failed);
-    // What a test that failed has left would make those after it fail, too.
-    if (failed) {
-      await stack.ask("unload_all", {});
-    }
-    // An exception in the page fails the test, whatever the page shows.
-    expect(errors).toEqual([]);
-  });
+  afterEach(({ task }) => endTest(browser, stack, task.result?.state === "fail"));
 
   afterAll(async () => {
     await browser.close();

@@ -7,6 +7,7 @@ import { createInterface } from "node:readline";
 
 import { chromium, type BrowserContext, type Page } from "playwright-core";
 import { PNG } from "pngjs";
+import { expect } from "vitest";
 
 const ROOT = join(import.meta.dirname, "..", "..");
 const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
@@ -181,6 +182,16 @@ function setTurns(turnMs: number): void {
       }
       callback(nowMs);
     });
+}
+
+/** Ends a test: closes its pages, and unloads the scenes of one that failed. Fails if a page threw an exception. */
+export async function endTest(browser: Browser, stack: Stack, failed: boolean): Promise<void> {
+  const errors = await browser.closePages(failed);
+  // What a test that failed has left would make those after it fail, too.
+  if (failed) {
+    await stack.ask("unload_all", {});
+  }
+  expect(errors).toEqual([]);
 }
 
 /** The interface of main.ts for scripts. */

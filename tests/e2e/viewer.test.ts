@@ -3,7 +3,7 @@ import { stat } from "node:fs/promises";
 
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 
-import { Browser, Stack, difference, missing } from "./harness";
+import { Browser, Stack, difference, endTest, missing } from "./harness";
 
 const absent = missing();
 if (absent.length > 0) {
@@ -32,16 +32,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     ({ stack, url, lookUrl } = await Stack.start());
   });
 
-  afterEach(async ({ task }) => {
-    const failed = task.result?.state === "fail";
-    const errors = await browser.closePages(failed);
-    // What a test that failed has left would make those after it fail, too.
-    if (failed) {
-      await stack.ask("unload_all", {});
-    }
-    // An exception in the page fails the test, whatever the page shows.
-    expect(errors).toEqual([]);
-  });
+  afterEach(({ task }) => endTest(browser, stack, task.result?.state === "fail"));
 
   afterAll(async () => {
     await browser.close();
