@@ -17,20 +17,28 @@ export no_proxy=${no_proxy:+$no_proxy,}127.0.0.1,localhost,::1
 run_lint() { tests/lint.sh; }
 run_ctest() { ctest --test-dir "$build" -j "$jobs" --output-on-failure --no-tests=error; }
 # First side by side, then one by one those that measure time. A worker steals tests from the end of another's list, so
-# that most files are run by one worker, which starts their daemon once.
+# that most files are run by one worker, which starts their daemon once. The few that failed run again, once.
 run_pytest() {
-  local status=0
-  python -m pytest -q -rfEs -n "$jobs" --dist worksteal -m "not alone" tests || status=$?
-  grep -lr --include='test_*.py' 'pytest\.mark\.alone' tests | xargs python -m pytest -q -rfEs -m alone || status=$?
-  return "$status"
+  local side_by_side=0 alone=0
+  python -m pytest -q -rfEs -n "$jobs" --dist worksteal -m "not alone" tests || side_by_side=$?
+  grep -lr --include='test_*.py' 'pytest\.mark\.alone' tests | xargs python -m pytest -q -rfEs -m alone || alone=$?
+  ((side_by_side + alone > 0)) || return 0
+  ((side_by_side <= 1 && (alone <= 1 || alone == 123))) || return 1  # no test: 1, of xargs 123, says that tests failed
+  (($(grep -cE '^(FAILED|ERROR) ' "$logs/pytest.log") <= most_run_again)) || return 1
+  echo "$again"
+  python -m pytest -q -rfEs --last-failed --last-failed-no-failures none tests
 }
 run_vitest() { (cd clients/web && npm run --silent test); }
 run_e2e() { (cd clients/web && npm run --silent e2e); }
 
+# Failures of more tests than these are no accident of a busy machine.
+most_run_again=5
+again="==== what failed, again"
+
 # A log without colours.
 plain() { sed -E 's/\x1b\[[0-9;]*m//g' "$1"; }
 
-# The line with which a runner reports its totals, and the two of pytest.
+# The line with which a runner reports its totals; pytest has two, or three if tests ran again.
 closing_line() {
   local pattern lines=1
   case $1 in
@@ -38,7 +46,7 @@ closing_line() {
     ctest) pattern='tests passed.* out of' ;;
     pytest)
       pattern='(passed|failed|error|skipped|no tests ran).* in [0-9.]+s'
-      lines=2
+      lines=3
       ;;
     *) pattern='^ *Tests +' ;;
   esac
@@ -62,7 +70,7 @@ failures() {
   case $1 in
     lint) grep -E '(error|Error|FAILED)' "$log" | head -n 5 ;;
     ctest) sed -nE 's/^[[:space:]]*[0-9]+ - (.*) \((Failed|Timeout|SEGFAULT|Not Run|.*Abort.*|.*xception.*)\).*/\1: \2/p' "$log" ;;
-    pytest) grep -E '^(FAILED|ERROR) ' "$log" ;;
+    pytest) (grep -qx "$again" "$log" && sed "1,/^$again\$/d" "$log" || cat "$log") | grep -E '^(FAILED|ERROR) ' ;;
     *)
       plain "$log" | awk '/^ *FAIL / { name = $0; next } name != "" && NF { print name ": " $0; name = "" }
         /^page of the test that failed: / { print }'
@@ -70,8 +78,18 @@ failures() {
   esac | cut -c 1-400 | sort -u | head -n 20
 }
 
-# Only the page's tests run again, once: they share two cores with a browser that draws in software.
-passed_again() { plain "$logs/$1.log" | grep -E '^ *✓ .*\(retry x[0-9]+\)' | sed -E 's/^ *✓ *//'; }
+# Tests of Python and of the page run again: they share two cores with daemons, or a browser that draws in software.
+passed_again() {
+  local log=$logs/$1.log
+  case $1 in
+    pytest)
+      grep -qx "$again" "$log" || return 0
+      comm -23 <(sed "/^$again\$/,\$d" "$log" | failed_names) <(sed "1,/^$again\$/d" "$log" | failed_names)
+      ;;
+    *) plain "$log" | grep -E '^ *✓ .*\(retry x[0-9]+\)' | sed -E 's/^ *✓ *//' ;;
+  esac
+}
+failed_names() { sed -nE 's/^(FAILED|ERROR) ([^ ]+).*/\2/p' | sort -u; }
 
 suites=("$@")
 ((${#suites[@]} > 0)) || suites=(lint ctest pytest vitest e2e)

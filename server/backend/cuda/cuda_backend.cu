@@ -72,10 +72,21 @@ class CudaBackend final : public Backend {
     return state;
   } catch (const cuda::CudaFailure& failure) {
     cudaGetLastError();
-    return fail(ErrorCode::kResourceExhausted, std::string("CUDA: ") + failure.what());
+    return fail(ErrorCode::kResourceExhausted, std::string("CUDA: ") + failure.what() + free_memory());
   }
 
  private:
+  /// What is free, and what to do if that is too little; empty if the device does not tell.
+  static std::string free_memory() {
+    constexpr std::size_t kMiB = std::size_t{1} << 20;
+    std::size_t free = 0, total = 0;
+    if (cudaMemGetInfo(&free, &total) != cudaSuccess) {
+      cudaGetLastError();
+      return {};
+    }
+    return " (" + std::to_string(free / kMiB) + " of " + std::to_string(total / kMiB) +
+           " MiB of device memory are free; unload a scene, or load one with fewer elements)";
+  }
   std::uint32_t processors() const { return static_cast<std::uint32_t>(properties_.multiProcessorCount); }
   /// The device as one scene sees it: with its share of the multiprocessors. Spreading its work over those that other
   /// scenes need would take longer in all.
