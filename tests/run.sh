@@ -31,7 +31,7 @@ run_pytest() {
 run_vitest() { (cd clients/web && npm run --silent test); }
 run_e2e() { (cd clients/web && npm run --silent e2e); }
 
-# Failures of more tests than these are no accident of a busy machine.
+# A busy machine makes fewer tests fail; if more do, the code is wrong.
 most_run_again=5
 again="==== what failed, again"
 

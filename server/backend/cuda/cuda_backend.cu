@@ -76,7 +76,7 @@ class CudaBackend final : public Backend {
   }
 
  private:
-  /// What is free, and what to do if that is too little; empty if the device does not tell.
+  /// The device's free memory in words, and a remedy if that is too little; empty if the device does not tell.
   static std::string free_memory() {
     constexpr std::size_t kMiB = std::size_t{1} << 20;
     std::size_t free = 0, total = 0;
