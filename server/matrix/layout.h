@@ -90,6 +90,10 @@ struct Layout {
 
 /// Makes the layout of a mesh and checks it. Needs patch_count ≥ 1. Deterministic.
 Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage storage = Storage::kRows);
+/// The same for nodes that are coupled otherwise than by elements of a mesh alone. neighbours: [node], as of
+/// mesh::node_neighbours.
+Layout make_layout(std::span<const Eigen::Vector3d> nodes, const mesh::Rows& neighbours, std::uint32_t patch_count,
+                   Storage storage);
 
 /// Asserts what kernels rely on without checking: sizes, ascending offsets, patches that end at slices, columns that
 /// name the row which their slot says. O(slots); make_layout calls it once a scene.

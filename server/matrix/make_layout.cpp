@@ -283,16 +283,21 @@ void list_boundary(Layout& layout) {
 }  // namespace
 
 Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage storage) {
+  return make_layout(mesh.nodes, mesh::node_neighbours(mesh), patch_count, storage);
+}
+
+Layout make_layout(std::span<const Eigen::Vector3d> nodes, const mesh::Rows& neighbours, std::uint32_t patch_count,
+                   Storage storage) {
   TM_ASSERT(patch_count >= 1, "a layout has patches");
+  TM_ASSERT(neighbours.size() == nodes.size(), "each node has a list of neighbours");
   Layout layout;
   layout.storage = storage;
   layout.patch_count = patch_count;
-  const mesh::Rows neighbours = mesh::node_neighbours(mesh);
   if (storage == Storage::kTiles) {
-    layout.tile_rows = rows_of_tiles(static_cast<std::uint32_t>(mesh.nodes.size()) / patch_count + 1);
+    layout.tile_rows = rows_of_tiles(static_cast<std::uint32_t>(nodes.size()) / patch_count + 1);
   }
-  mesh::Partition partition = mesh::partition(mesh, patch_count, std::max(layout.tile_rows, kSliceRows));
-  assert_offsets(partition.offsets, patch_count, mesh.nodes.size());
+  mesh::Partition partition = mesh::partition(nodes, patch_count, std::max(layout.tile_rows, kSliceRows));
+  assert_offsets(partition.offsets, patch_count, nodes.size());
   const StoredEdges stored = storage == Storage::kEdges ? share_edges(partition, neighbours) : whole_rows(neighbours);
   if (storage == Storage::kRows) bring_long_rows_forward(partition, stored);
   number_rows(layout, partition, stored,

@@ -42,14 +42,18 @@ Rows node_elements(const Mesh& mesh) {
   });
 }
 
-Rows node_neighbours(const Mesh& mesh) { return node_neighbours(mesh, node_elements(mesh)); }
+Rows node_neighbours(const Mesh& mesh) {
+  return node_neighbours(static_cast<std::uint32_t>(mesh.nodes.size()), element_nodes(mesh));
+}
 
-Rows node_neighbours(const Mesh& mesh, const Rows& elements) {
-  const auto nodes_of = element_nodes(mesh);
+Rows node_neighbours(std::uint32_t node_count, std::span<const std::span<const std::uint32_t>> nodes_of) {
+  const Rows elements = invert(node_count, [&](auto&& add) {
+    for (std::uint32_t element = 0; element < nodes_of.size(); ++element) add(element, nodes_of[element]);
+  });
   Rows rows;
-  rows.offsets.reserve(mesh.nodes.size() + 1);
-  std::vector<std::uint32_t> seen_by(mesh.nodes.size(), kNone);
-  for (std::uint32_t node = 0; node < elements.size(); ++node) {
+  rows.offsets.reserve(node_count + std::size_t{1});
+  std::vector<std::uint32_t> seen_by(node_count, kNone);
+  for (std::uint32_t node = 0; node < node_count; ++node) {
     const auto first = static_cast<std::ptrdiff_t>(rows.items.size());
     seen_by[node] = node;
     for (const std::uint32_t element : elements[node]) {

@@ -27,8 +27,8 @@ Rows node_elements(const Mesh& mesh);
 
 /// Returns the nodes that share an element with each node, ascending, without the node itself. [node_count] rows.
 Rows node_neighbours(const Mesh& mesh);
-/// The same; `elements` must be node_elements(mesh).
-Rows node_neighbours(const Mesh& mesh, const Rows& elements);
+/// The same for any sets of nodes, such as the elements of a mesh (element_nodes) and its clusters.
+Rows node_neighbours(std::uint32_t node_count, std::span<const std::span<const std::uint32_t>> nodes_of);
 
 /// Returns the triangles of every vertex, ascending. [vertex_count] rows.
 Rows vertex_triangles(std::span<const Triangle> triangles, std::uint32_t vertex_count);

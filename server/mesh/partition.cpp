@@ -76,9 +76,9 @@ void order_patches(std::span<Item> items, std::span<const std::uint32_t> offsets
 
 }  // namespace
 
-Partition partition(const Mesh& mesh, std::uint32_t patch_count, std::uint32_t leaf_size) {
+Partition partition(std::span<const Eigen::Vector3d> nodes, std::uint32_t patch_count, std::uint32_t leaf_size) {
   TM_ASSERT(patch_count >= 1 && leaf_size >= 1, "a partition has patches, and leaves have nodes");
-  std::vector<Item> items = items_of(mesh.nodes);
+  std::vector<Item> items = items_of(nodes);
   Partition result;
   result.offsets.resize(patch_count + std::size_t{1});
   for (std::uint64_t patch = 0; patch <= patch_count; ++patch) {

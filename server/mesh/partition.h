@@ -26,7 +26,7 @@ struct Partition {
 /// Patch sizes differ by one node at most; a patch is empty only if there are more patches than nodes. Each patch is
 /// bisected further down to leaves of `leaf_size` nodes, ascending within a leaf. Ties are broken by index, so the same
 /// nodes give the same partition on every machine.
-Partition partition(const Mesh& mesh, std::uint32_t patch_count, std::uint32_t leaf_size);
+Partition partition(std::span<const Eigen::Vector3d> nodes, std::uint32_t patch_count, std::uint32_t leaf_size);
 
 /// Orders any points by bisection without patches. Returns [point_count] the point at each place. Needs leaf_size ≥ 1.
 std::vector<std::uint32_t> bisection_order(std::span<const Eigen::Vector3d> points, std::uint32_t leaf_size);

@@ -36,50 +36,59 @@ struct ScheduledForce {
   Vec3<double> force_n;    // at a factor of 1
 };
 
-class BoundaryConditions {
+class BoundaryReader {
  public:
-  explicit BoundaryConditions(Compilation& c)
-      : c_(c), external_(4 * std::size_t{c.model.layout.row_count}, 0), fixed_(c.model.layout.row_count, false) {}
+  BoundaryReader(const v1::Scene& scene, const ReadBodies& all, const Settings& settings, const matrix::Layout& layout,
+                 std::span<const double> row_mass)
+      : scene_(scene),
+        all_(all),
+        bodies_(all.bodies),
+        settings_(settings),
+        layout_(layout),
+        row_mass_(row_mass),
+        external_(4 * std::size_t{layout.row_count}, 0),
+        fixed_(layout.row_count, false) {
+    out_.held.assign(layout.row_count, 0);
+  }
 
-  Result<void> run() {
-    for (std::size_t b = 0; b < c_.bodies.size(); ++b) {
-      const v1::Body& body = c_.scene.bodies(static_cast<int>(b));
+  Result<BoundaryConditions> read() {
+    for (std::size_t b = 0; b < bodies_.size(); ++b) {
+      const v1::Body& body = scene_.bodies(static_cast<int>(b));
       const std::string where = fmt::format("body '{}'", body.name());
-      TM_ASSIGN_OR_RETURN(sets, read_sets(body, c_.bodies[b].nodes(), where));
+      TM_ASSIGN_OR_RETURN(sets, read_sets(body, bodies_[b].nodes(), where));
       TM_RETURN_IF_ERROR(fix(body, b, sets, where));
       TM_RETURN_IF_ERROR(prescribe(body, b, sets, where));
       TM_RETURN_IF_ERROR(load(body, b, sets, where));
       TM_RETURN_IF_ERROR(start(body, b, where));
-      BodyModel& out = c_.model.bodies[b];
-      for (std::uint32_t node = 0; node < out.node_count; ++node) {
-        if (c_.model.rest[4 * row(b, node) + 3] != kAllDirections) ++out.fixed_node_count;
+      std::uint32_t& fixed_nodes = out_.fixed_node_count.emplace_back(0);
+      for (std::uint32_t node = 0; node < bodies_[b].node_count; ++node) {
+        if (out_.held[row(b, node)] != 0) ++fixed_nodes;
       }
     }
     add_gravity();
     if (any_external_) {
-      c_.model.external = std::move(external_);
+      out_.external = std::move(external_);
     } else {
       scheduled_.clear();
     }
     list_scheduled();
     group_prescribed_rows();
     group_pressure();
-    return {};
+    return std::move(out_);
   }
 
  private:
   std::size_t row(std::size_t body, std::uint32_t node) const {
-    return c_.model.layout.row_of_node[c_.model.bodies[body].node_begin + node];
+    return layout_.row_of_node[bodies_[body].node_begin + node];
   }
   void fix_directions(std::size_t row, std::uint32_t bits) {
-    double& free = c_.model.rest[4 * row + 3];
-    free = static_cast<std::uint32_t>(free) & ~bits;
+    out_.held[row] = static_cast<std::uint8_t>(out_.held[row] | bits);
   }
 
   Result<void> fix(const v1::Body& body, std::size_t b, const NodeSets& sets, std::string_view where) {
     for (int i = 0; i < body.fixed_size(); ++i) {
-      TM_ASSIGN_OR_RETURN(
-          nodes, read_region(body.fixed(i), c_.bodies[b].nodes(), sets, fmt::format("{}.fixed[{}]", where, i)));
+      TM_ASSIGN_OR_RETURN(nodes,
+                          read_region(body.fixed(i), bodies_[b].nodes(), sets, fmt::format("{}.fixed[{}]", where, i)));
       for (const std::uint32_t node : nodes) {
         fix_directions(row(b, node), kAllDirections);
         fixed_[row(b, node)] = true;
@@ -92,7 +101,7 @@ class BoundaryConditions {
     for (int i = 0; i < body.prescribed_size(); ++i) {
       const std::string at = fmt::format("{}.prescribed[{}]", where, i);
       const v1::PrescribedDisplacement& p = body.prescribed(i);
-      TM_ASSIGN_OR_RETURN(nodes, read_region(p.region(), c_.bodies[b].nodes(), sets, at + ".region"));
+      TM_ASSIGN_OR_RETURN(nodes, read_region(p.region(), bodies_[b].nodes(), sets, at + ".region"));
       v1::Vector3 vector;
       vector.set_x(p.x_m());
       vector.set_y(p.y_m());
@@ -101,8 +110,8 @@ class BoundaryConditions {
       const std::uint32_t bits = (p.has_x_m() ? 1u : 0) | (p.has_y_m() ? 2u : 0) | (p.has_z_m() ? 4u : 0);
       if (bits == 0) return invalid(fmt::format("{}: no direction; give x_m, y_m or z_m", at));
       TM_ASSIGN_OR_RETURN(schedule, read_schedule(p.schedule(), at + ".schedule"));
-      c_.model.prescribed.push_back({displacement, std::move(schedule)});
-      const auto index = static_cast<std::uint32_t>(c_.model.prescribed.size() - 1);
+      out_.prescribed.push_back({displacement, std::move(schedule)});
+      const auto index = static_cast<std::uint32_t>(out_.prescribed.size() - 1);
       for (const std::uint32_t node : nodes) {
         TM_RETURN_IF_ERROR(
             prescribe_directions(row(b, node), index, bits, [&] { return fmt::format("{}: node {}", at, node); }));
@@ -115,7 +124,7 @@ class BoundaryConditions {
   /// the same displacement may be given twice; two different ones are an error.
   template <class Where>
   Result<void> prescribe_directions(std::size_t row, std::uint32_t index, std::uint32_t bits, const Where& where) {
-    const Prescribed& mine = c_.model.prescribed[index];
+    const Prescribed& mine = out_.prescribed[index];
     std::uint32_t open = bits;  // directions that no earlier entry has
     std::vector<PrescribedDirections>& of_row = prescribed_[static_cast<std::uint32_t>(row)];
     for (const PrescribedDirections& other : of_row) {
@@ -123,7 +132,7 @@ class BoundaryConditions {
         const auto axis = static_cast<Eigen::Index>(c);
         if ((other.bits & bits & 1u << c) == 0) continue;
         open &= ~(1u << c);
-        const Prescribed& theirs = c_.model.prescribed[other.prescribed];
+        const Prescribed& theirs = out_.prescribed[other.prescribed];
         const bool same = mine.displacement_m[axis] == theirs.displacement_m[axis] &&
                           (mine.displacement_m[axis] == 0 || mine.schedule == theirs.schedule);
         if (!same)
@@ -145,7 +154,7 @@ class BoundaryConditions {
     for (int i = 0; i < body.loads_size(); ++i) {
       const std::string at = fmt::format("{}.loads[{}]", where, i);
       const v1::Load& load = body.loads(i);
-      TM_ASSIGN_OR_RETURN(nodes, read_region(load.region(), c_.bodies[b].nodes(), sets, at + ".region"));
+      TM_ASSIGN_OR_RETURN(nodes, read_region(load.region(), bodies_[b].nodes(), sets, at + ".region"));
       TM_ASSIGN_OR_RETURN(read, read_schedule(load.schedule(), at + ".schedule"));
       const std::uint32_t schedule = index_of(std::move(read));
       if (load.kind_case() == v1::Load::kForceN) {
@@ -158,7 +167,7 @@ class BoundaryConditions {
       if (load.kind_case() == v1::Load::KIND_NOT_SET) {
         return invalid(fmt::format("{}: no load; give force_n, traction_pa or pressure_pa", at));
       }
-      if (faces.empty()) faces = mesh::boundary_faces(c_.bodies[b].mesh);
+      if (faces.empty()) faces = mesh::boundary_faces(bodies_[b].mesh);
       const std::set<std::uint32_t> chosen(nodes.begin(), nodes.end());
       std::vector<mesh::FaceNodes> loaded;
       for (const mesh::BoundaryFace& face : faces) {
@@ -186,7 +195,7 @@ class BoundaryConditions {
   /// empty.
   std::uint32_t index_of(Schedule schedule) {
     if (schedule.empty()) return mesh::kNone;
-    std::vector<Schedule>& all = c_.model.scheduled.schedules;
+    std::vector<Schedule>& all = out_.scheduled.schedules;
     const auto [known, is_new] = schedules_.try_emplace(schedule, static_cast<std::uint32_t>(all.size()));
     if (is_new) all.push_back(std::move(schedule));
     return known->second;
@@ -204,7 +213,7 @@ class BoundaryConditions {
 
   void add_traction(std::size_t b, const mesh::FaceNodes& face, const Vec3<double>& traction, std::uint32_t schedule) {
     Vec3<double> x[physics::kMaxFaceNodes];
-    for (std::uint32_t k = 0; k < face.count; ++k) x[k] = c_.bodies[b].mesh.nodes[face[k]];
+    for (std::uint32_t k = 0; k < face.count; ++k) x[k] = bodies_[b].mesh.nodes[face[k]];
     for (std::uint32_t k = 0; k < face.count; ++k) {
       add_external(row(b, face[k]), traction * physics::face_area(x, static_cast<int>(face.count), static_cast<int>(k)),
                    schedule);
@@ -218,27 +227,27 @@ class BoundaryConditions {
     for (std::uint32_t k = 0; k < physics::kMaxFaceNodes; ++k) {
       out.rows[k] = k < face.count ? static_cast<std::uint32_t>(row(b, face[k])) : 0;
     }
-    c_.model.pressure.faces.push_back(out);
+    out_.pressure.faces.push_back(out);
     schedules_of_faces_.push_back(schedule);
     bodies_of_faces_.push_back(b);
   }
 
   Result<void> start(const v1::Body& body, std::size_t b, std::string_view where) {
     TM_RETURN_IF_ERROR(read_start(body.initial_displacement_m(), b, fmt::format("{}.initial_displacement_m", where),
-                                  c_.model.initial_displacement));
+                                  out_.initial_displacement));
     const std::string at = fmt::format("{}.initial_velocity_m_per_s", where);
-    if (!body.initial_velocity_m_per_s().empty() && c_.model.quasi_static()) {
+    if (!body.initial_velocity_m_per_s().empty() && settings_.quasi_static()) {
       return invalid(fmt::format("{}: a quasi-static step has no velocity; leave it out", at));
     }
-    return read_start(body.initial_velocity_m_per_s(), b, at, c_.model.initial_velocity);
+    return read_start(body.initial_velocity_m_per_s(), b, at, out_.initial_velocity);
   }
 
   /// Reads three values a node; those of the mesh's own nodes are enough. out: [row_count, 4].
   Result<void> read_start(const std::string& bytes, std::size_t b, std::string_view where, std::vector<double>& out) {
     if (bytes.empty()) return {};
     TM_ASSIGN_OR_RETURN(values, read_reals(bytes, 3, where));
-    const std::vector<mesh::EdgeEnds>& middle_of = c_.bodies[b].middle_of;
-    const std::size_t node_count = c_.model.bodies[b].node_count, own_count = node_count - middle_of.size();
+    const std::vector<mesh::EdgeEnds>& middle_of = bodies_[b].middle_of;
+    const std::size_t node_count = bodies_[b].node_count, own_count = node_count - middle_of.size();
     if (values.size() == 3 * own_count) {
       interpolate(values, b);
     } else if (values.size() != 3 * node_count) {
@@ -247,7 +256,7 @@ class BoundaryConditions {
       return invalid(
           fmt::format("{}: {} values for {} nodes{}; give three a node", where, values.size(), node_count, or_own));
     }
-    out.resize(4 * std::size_t{c_.model.layout.row_count}, 0);
+    out.resize(4 * std::size_t{layout_.row_count}, 0);
     for (std::uint32_t node = 0; node < node_count; ++node) {
       for (std::size_t c = 0; c < 3; ++c) {
         const double value = values[3 * std::size_t{node} + c];
@@ -265,7 +274,7 @@ class BoundaryConditions {
   /// Adds the values of nodes that element_order added: the mean of both ends of their edge, or zero where fixed.
   /// values: [own node count, 3], grows to [node_count, 3].
   void interpolate(std::vector<double>& values, std::size_t b) {
-    for (const auto& [low, high] : c_.bodies[b].middle_of) {
+    for (const auto& [low, high] : bodies_[b].middle_of) {
       const bool held = fixed_[row(b, static_cast<std::uint32_t>(values.size() / 3))];
       for (std::size_t c = 0; c < 3; ++c) {
         values.push_back(held ? 0 : 0.5 * (values[3 * std::size_t{low} + c] + values[3 * std::size_t{high} + c]));
@@ -274,16 +283,16 @@ class BoundaryConditions {
   }
 
   void add_gravity() {
-    if (!c_.model.has_gravity) return;
-    const std::uint32_t schedule = index_of(c_.model.gravity_schedule);
-    for (std::size_t i = 0; i < c_.model.layout.row_count; ++i) {
-      add_external(i, c_.model.row_mass[i] * c_.model.gravity_m_per_s2, schedule);
+    if (!settings_.has_gravity) return;
+    const std::uint32_t schedule = index_of(settings_.gravity_schedule);
+    for (std::size_t i = 0; i < layout_.row_count; ++i) {
+      add_external(i, row_mass_[i] * settings_.gravity_m_per_s2, schedule);
     }
   }
 
   /// Lists the scheduled forces by row, and the schedules of the faces if one has any.
   void list_scheduled() {
-    ScheduledLoads& out = c_.model.scheduled;
+    ScheduledLoads& out = out_.scheduled;
     const auto place = [](const ScheduledForce& force) { return std::pair(force.row, force.schedule); };
     std::stable_sort(scheduled_.begin(), scheduled_.end(),
                      [&](const ScheduledForce& a, const ScheduledForce& b) { return place(a) < place(b); });
@@ -305,12 +314,12 @@ class BoundaryConditions {
   /// Lists the prescribed rows by patch.
   void group_prescribed_rows() {
     if (prescribed_.empty()) return;
-    PrescribedRows& out = c_.model.prescribed_rows;
-    out.patch_begin.assign(c_.model.layout.patch_count + 1, 0);
+    PrescribedRows& out = out_.prescribed_rows;
+    out.patch_begin.assign(layout_.patch_count + 1, 0);
     for (const auto& [row, all] : prescribed_) {  // a map: rows ascend, and so do their patches
       for (const PrescribedDirections& one : all) {
         out.rows.insert(out.rows.end(), {one.row, one.prescribed, one.bits});
-        ++out.patch_begin[c_.model.layout.patch_of_row(row) + 1];
+        ++out.patch_begin[layout_.patch_of_row(row) + 1];
       }
     }
     std::partial_sum(out.patch_begin.begin(), out.patch_begin.end(), out.patch_begin.begin());
@@ -326,12 +335,12 @@ class BoundaryConditions {
       std::size_t body = 0;
     };
     std::map<std::pair<std::uint32_t, std::uint32_t>, Coupling> couplings;  // [row k < row l]
-    const std::vector<view::PressureFace<double>>& faces = c_.model.pressure.faces;
+    const std::vector<view::PressureFace<double>>& faces = out_.pressure.faces;
     for (std::size_t f = 0; f < faces.size(); ++f) {
       const int nodes = static_cast<int>(faces[f].node_count);
       Vec3<double> x[physics::kMaxFaceNodes];
       for (int k = 0; k < nodes; ++k) {
-        for (int i = 0; i < 3; ++i) x[k][i] = c_.model.rest[4 * std::size_t{faces[f].rows[k]} + std::size_t(i)];
+        x[k] = all_.merged.nodes[layout_.node_of_row[faces[f].rows[static_cast<std::size_t>(k)]]];
       }
       for (int k = 0; k < nodes; ++k) {
         for (int l = 0; l < nodes; ++l) {
@@ -346,7 +355,7 @@ class BoundaryConditions {
       }
     }
     constexpr double kRounding = 1e-9;
-    std::vector<bool> conserves(c_.bodies.size(), true);
+    std::vector<bool> conserves(bodies_.size(), true);
     for (const auto& [rows, coupling] : couplings) {
       const Mat3<double> skew = cross_matrix(coupling.skew);
       for (int i = 0; i < 3; ++i) {
@@ -358,13 +367,11 @@ class BoundaryConditions {
     }
     return conserves;
   }
-  bool is_free(std::size_t row, int direction) const {
-    return (static_cast<std::uint32_t>(c_.model.rest[4 * row + 3]) >> direction & 1u) != 0;
-  }
+  bool is_free(std::size_t row, int direction) const { return (out_.held[row] >> direction & 1u) == 0; }
 
   /// Lists the rows under pressure by patch, and for each row its corners in the faces with their slots.
   void group_pressure() {
-    PressureSurface& out = c_.model.pressure;
+    PressureSurface& out = out_.pressure;
     if (out.faces.empty()) return;
     const std::vector<bool> conserves = conserving_bodies();
     std::map<std::uint32_t, std::vector<std::uint32_t>> corners;  // [row] pairs of face, corner
@@ -376,7 +383,7 @@ class BoundaryConditions {
     }
     out.conserves_energy =
         std::all_of(bodies_of_faces_.begin(), bodies_of_faces_.end(), [&](std::size_t b) { return conserves[b]; });
-    out.patch_begin.assign(c_.model.layout.patch_count + 1, 0);
+    out.patch_begin.assign(layout_.patch_count + 1, 0);
     out.corner_begin.assign(1, 0);
     for (const auto& [row, list] : corners) {
       out.rows.push_back(row);
@@ -385,16 +392,22 @@ class BoundaryConditions {
         const view::PressureFace<double>& face = out.faces[list[i]];
         for (std::uint32_t l = 0; l < physics::kMaxFaceNodes; ++l) {
           const bool couples = l < face.node_count && l != list[i + 1] && conserves[bodies_of_faces_[list[i]]];
-          out.slots.push_back(couples ? c_.model.layout.slot(row, face.rows[l]) : view::kNoPlace);
+          out.slots.push_back(couples ? layout_.slot(row, face.rows[l]) : view::kNoPlace);
         }
       }
       out.corner_begin.push_back(static_cast<std::uint32_t>(out.corners.size() / 2));
-      ++out.patch_begin[c_.model.layout.patch_of_row(row) + 1];
+      ++out.patch_begin[layout_.patch_of_row(row) + 1];
     }
     std::partial_sum(out.patch_begin.begin(), out.patch_begin.end(), out.patch_begin.begin());
   }
 
-  Compilation& c_;
+  const v1::Scene& scene_;
+  const ReadBodies& all_;
+  const std::vector<ReadBody>& bodies_;
+  const Settings& settings_;
+  const matrix::Layout& layout_;
+  std::span<const double> row_mass_;  // [row]
+  BoundaryConditions out_{};
   std::vector<double> external_;
   std::vector<bool> fixed_;  // [row_count]
   bool any_external_ = false;
@@ -407,6 +420,17 @@ class BoundaryConditions {
 
 }  // namespace
 
-Result<void> fill_boundary_conditions(Compilation& c) { return BoundaryConditions(c).run(); }
+Result<BoundaryConditions> make_boundary_conditions(const v1::Scene& scene, const ReadBodies& bodies,
+                                                    const Settings& settings, const matrix::Layout& layout,
+                                                    std::span<const double> row_mass) {
+  return BoundaryReader(scene, bodies, settings, layout, row_mass).read();
+}
+
+void hold_directions(std::span<const std::uint8_t> held, std::span<double> rest) {
+  for (std::size_t row = 0; row < held.size(); ++row) {
+    double& free = rest[4 * row + 3];
+    free = static_cast<std::uint32_t>(free) & ~std::uint32_t{held[row]};
+  }
+}
 
 }  // namespace tensormass::model

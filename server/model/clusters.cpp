@@ -86,8 +86,8 @@ std::optional<Cluster> make_cluster(const Neighbours& neighbours, std::span<cons
 ///
 ///   alone     [element of the body]
 ///   partner   where an element's partner would be
-void find_unpaired(Model& model, std::string_view name, const ReadBody& body, const std::vector<bool>& alone,
-                   mesh::Shape shape, std::string_view partner) {
+void find_unpaired(const ReadBody& body, const std::vector<bool>& alone, mesh::Shape shape, std::string_view partner,
+                   std::vector<Finding>& findings) {
   const mesh::Topology& topology = mesh::topology(shape);
   std::uint32_t all = 0, locking = 0;
   mesh::for_each_element(body.mesh, [&](std::uint32_t e, const mesh::Topology& of, std::span<const std::uint32_t>) {
@@ -96,15 +96,15 @@ void find_unpaired(Model& model, std::string_view name, const ReadBody& body, co
     if (alone[e] && body.material(e).poisson_ratio > kNearlyIncompressible) ++locking;
   });
   if (locking <= thresholds::kLockingPart * all) return;
-  model.findings.push_back(
+  findings.push_back(
       {.code = FindingCode::kUnpairedElements,
        .value = static_cast<double>(locking) / all,
        .limit = thresholds::kLockingPart,
-       .place = fmt::format("body '{}'.quadrature", name),
-       .body = std::string(name),
+       .place = fmt::format("body '{}'.quadrature", body.name),
+       .body = body.name,
        .message = fmt::format("body '{}': {} of {} elements of shape {} have no partner for their change of volume and "
                               "are too stiff near a Poisson's ratio of 0.5",
-                              name, locking, all, topology.name),
+                              body.name, locking, all, topology.name),
        .remedy = fmt::format("a partner {} and has the same law and moduli", partner)});
 }
 
@@ -115,12 +115,12 @@ bool same_dilatation(const Material& a, const Material& b) {
          a.prony == b.prony;
 }
 
-void make_clusters(Compilation& c) {
-  for (std::size_t b = 0; b < c.bodies.size(); ++b) {
-    const ReadBody& body = c.bodies[b];
+Clusters make_clusters(std::span<const ReadBody> bodies) {
+  Clusters out;
+  for (std::size_t b = 0; b < bodies.size(); ++b) {
+    const ReadBody& body = bodies[b];
     if (body.quadrature != physics::Quadrature::kSelective) continue;
-    const BodyModel& of = c.model.bodies[b];
-    std::vector<bool> alone(of.element_count, true);
+    std::vector<bool> alone(body.element_count, true);
     const bool forms_clusters = std::any_of(body.mesh.blocks.begin(), body.mesh.blocks.end(), [](const auto& block) {
       return block.shape == mesh::Shape::kWedge || block.shape == mesh::Shape::kTetrahedron;
     });
@@ -131,17 +131,18 @@ void make_clusters(Compilation& c) {
       if (!cluster) return;
       cluster->body = b;
       cluster->deviatoric_part = part;
-      for (std::uint32_t& node : cluster->nodes) node += of.node_begin;
-      c.clusters.push_back(*cluster);
+      for (std::uint32_t& node : cluster->nodes) node += body.node_begin;
+      out.clusters.push_back(*cluster);
       for (const std::uint32_t element : elements) alone[element] = false;
     };
     for (const ElementPair& pair : pair_wedges(body)) add(physics::TypeTag<physics::Wedge>{}, pair, 0);
     for (const ElementRing& ring : ring_tetrahedra(body)) {
       add(physics::TypeTag<physics::LinearTetrahedron>{}, ring, kRingPart);
     }
-    find_unpaired(c.model, of.name, body, alone, mesh::Shape::kWedge, "lies across a quadrilateral face");
-    find_unpaired(c.model, of.name, body, alone, mesh::Shape::kTetrahedron, "shares an edge");
+    find_unpaired(body, alone, mesh::Shape::kWedge, "lies across a quadrilateral face", out.findings);
+    find_unpaired(body, alone, mesh::Shape::kTetrahedron, "shares an edge", out.findings);
   }
+  return out;
 }
 
 physics::ElementAtRest<ClusterShape> mean_at_rest(const Cluster& cluster) {
@@ -153,13 +154,6 @@ physics::ElementAtRest<ClusterShape> mean_at_rest(const Cluster& cluster) {
   point.back() = cluster.mean.weight;
   rest.shares.push_back({cluster.deviatoric_part, 1});
   return rest;
-}
-
-mesh::ElementBlock cluster_block(const Compilation& c) {
-  mesh::ElementBlock block{mesh::Shape::kHexahedron, {}};
-  for (const Cluster& cluster : c.clusters)
-    block.nodes.insert(block.nodes.end(), cluster.nodes.begin(), cluster.nodes.end());
-  return block;
 }
 
 }  // namespace tensormass::model

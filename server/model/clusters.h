@@ -1,9 +1,8 @@
 #pragma once
 
-#include <cstdint>
+#include <span>
 #include <vector>
 
-#include "mesh/mesh.h"
 #include "model/compile_parts.h"
 #include "physics/element/element.h"
 #include "physics/lists.h"
@@ -42,13 +41,14 @@ inline constexpr double kRingPart = 0.7;
 /// else; fibres belong to the deviatoric part.
 bool same_dilatation(const Material& a, const Material& b);
 
-/// Fills Compilation::clusters. Warns if many elements of a body stay alone and lock.
-void make_clusters(Compilation& c);
+struct Clusters {
+  std::vector<Cluster> clusters;
+  std::vector<Finding> findings;  ///< many elements of a body stay alone and lock
+};
+/// Makes the clusters of all bodies, one body after the other.
+Clusters make_clusters(std::span<const ReadBody> bodies);
 
 /// Returns the point of a cluster and its weights of the moduli.
 physics::ElementAtRest<ClusterShape> mean_at_rest(const Cluster& cluster);
-
-/// Returns the clusters as a block of elements, for the layout only: the matrix couples all nodes of a cluster.
-mesh::ElementBlock cluster_block(const Compilation& c);
 
 }  // namespace tensormass::model

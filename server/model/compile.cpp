@@ -1,11 +1,15 @@
 #include "model/compile.h"
 
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 #include <fmt/format.h>
 
 #include "core/assert.h"
+#include "core/limits.h"
+#include "mesh/adjacency.h"
+#include "mesh/shapes.h"
 #include "model/check.h"
 #include "model/clusters.h"
 #include "model/compile_parts.h"
@@ -13,7 +17,7 @@
 
 /// Compiles a scene, a message of untrusted input, to a Model, which a step can trust.
 ///
-///   scene --read--> bodies, tools, ties --merge--> one mesh --make_layout--> rows --fill--> masses, loads, prescribed
+///   scene --read--> bodies, tools, ties --merge--> one mesh --make_layout--> rows --make--> masses, loads, prescribed
 ///   rows
 ///                                                                          --group--> elements by (shape, law)
 ///                                                                          --make---> surfaces for contact and clients
@@ -25,21 +29,21 @@ namespace tensormass::model {
 
 namespace {
 
-/// Makes the layout of the merged mesh. Clusters count as elements here only, because the matrix couples all nodes of
-/// a cluster.
-void make_layout(Compilation& c, const PatchPolicy& policy) {
-  c.merged.blocks.push_back(cluster_block(c));
-  const auto nodes = static_cast<std::uint32_t>(c.merged.nodes.size());
-  c.model.layout = matrix::make_layout(c.merged, policy.count(nodes), policy.storage_of(nodes));
-  c.merged.blocks.pop_back();
+/// Returns the nodes that share an element or a cluster with each node.
+mesh::Rows neighbours_of(const mesh::Mesh& mesh, std::span<const Cluster> clusters) {
+  std::vector<std::span<const std::uint32_t>> coupled = mesh::element_nodes(mesh);
+  for (const Cluster& cluster : clusters) coupled.emplace_back(cluster.nodes);
+  return mesh::node_neighbours(static_cast<std::uint32_t>(mesh.nodes.size()), coupled);
 }
 
-/// Finds free bodies in a quasi-static scene: without fixed nodes and inertia their position is not determined.
-void find_loose_bodies(Model& model) {
-  if (!model.quasi_static()) return;
-  for (const BodyModel& body : model.bodies) {
+/// Returns the findings of bodies that are loose in a quasi-static scene: without fixed nodes and inertia their
+/// position is not determined.
+std::vector<Finding> find_loose_bodies(const Settings& settings, std::span<const BodyModel> bodies) {
+  std::vector<Finding> findings;
+  if (!settings.quasi_static()) return findings;
+  for (const BodyModel& body : bodies) {
     if (body.fixed_node_count > 0) continue;
-    model.findings.push_back(
+    findings.push_back(
         {.code = FindingCode::kLooseBody,
          .value = 1,
          .place = fmt::format("body '{}'.fixed", body.name),
@@ -49,12 +53,13 @@ void find_loose_bodies(Model& model) {
                                 body.name),
          .remedy = "give fixed or prescribed nodes"});
   }
+  return findings;
 }
 
 /// Refuses what the integrator cannot compute.
-Result<void> check_integrator(const Model& model) {
-  if (!model.extrapolates()) return {};
-  for (const ElementGroup& group : model.groups) {
+Result<void> check_integrator(const Settings& settings, std::span<const ElementGroup> groups) {
+  if (!settings.extrapolates()) return {};
+  for (const ElementGroup& group : groups) {
     if (group.prony.empty()) continue;
     return invalid(
         "scene.solver.integrator: the implicit midpoint rule does not advance viscoelastic stress; take bdf2, or laws "
@@ -63,38 +68,163 @@ Result<void> check_integrator(const Model& model) {
   return {};
 }
 
+/// Keeps the first findings of too many, and marks those that the scene accepts.
+void finish_findings(const std::vector<AcceptedFinding>& accepted, std::vector<Finding>& findings) {
+  if (findings.size() > limits::kMaxFindings) {
+    const std::size_t more = findings.size() - limits::kMaxFindings;
+    findings.resize(limits::kMaxFindings);
+    findings.back().remedy += fmt::format(" (and {} more findings)", more);
+  }
+  for (Finding& finding : findings) accept(finding, accepted);
+}
+
+/// Moves the items of `more` to the end of `all`.
+template <class Item>
+void append(std::vector<Item>&& more, std::vector<Item>& all) {
+  all.insert(all.end(), std::make_move_iterator(more.begin()), std::make_move_iterator(more.end()));
+}
+
+void store(RowFields&& fields, Model& model) {
+  model.size_m = fields.size_m;
+  model.rest = std::move(fields.rest);
+  model.inertia = std::move(fields.inertia);
+  model.row_mass = std::move(fields.row_mass);
+  model.mass_edges = std::move(fields.mass_edges);
+}
+
+void store(BoundaryConditions&& boundary, Model& model) {
+  hold_directions(boundary.held, model.rest);
+  for (std::size_t b = 0; b < model.bodies.size(); ++b) {
+    model.bodies[b].fixed_node_count = boundary.fixed_node_count[b];
+  }
+  model.external = std::move(boundary.external);
+  model.initial_displacement = std::move(boundary.initial_displacement);
+  model.initial_velocity = std::move(boundary.initial_velocity);
+  model.prescribed_rows = std::move(boundary.prescribed_rows);
+  model.prescribed = std::move(boundary.prescribed);
+  model.pressure = std::move(boundary.pressure);
+  model.scheduled = std::move(boundary.scheduled);
+}
+
+/// lists: of list_elements_of_rows, empty with kEdges
+void store(GroupedElements&& elements, matrix::GroupRowLists&& lists, Model& model) {
+  model.groups = std::move(elements.groups);
+  model.constant_edges = std::move(elements.constant_edges);
+  for (std::size_t g = 0; g < lists.groups.size(); ++g) model.groups[g].row_lists = std::move(lists.groups[g]);
+  model.begun_slices = std::move(lists.begun_slices);
+}
+
+void store(SolveChoice&& choice, Model& model) {
+  model.solve = choice.kind;
+  model.solve_keeps_vectors = choice.keeps_vectors;
+  for (const std::size_t group : choice.checked_groups) model.groups[group].solve_checks_volume = true;
+  model.checked = std::move(choice.checked);
+}
+
+void store(VisibleBodies&& visible, Model& model) {
+  model.visible = std::move(visible.surface);
+  for (std::size_t b = 0; b < model.bodies.size(); ++b) {
+    static_cast<VisibleBody&>(model.bodies[b]) = std::move(visible.bodies[b]);
+  }
+  append(std::move(visible.findings), model.findings);
+}
+
+void store(VisibleSprings&& springs, Model& model) {
+  append(std::move(springs.rows), model.visible.rows);
+  append(std::move(springs.weights), model.visible.weights);
+  model.attachments = std::move(springs.attachments);
+}
+
 }  // namespace
 
+matrix::Layout make_layout(const mesh::Mesh& mesh, std::span<const Cluster> clusters, const PatchPolicy& policy) {
+  const auto nodes = static_cast<std::uint32_t>(mesh.nodes.size());
+  return matrix::make_layout(mesh.nodes, neighbours_of(mesh, clusters), policy.count(nodes), policy.storage_of(nodes));
+}
+
 Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress) {
-  Compilation c{scene, {}, {}, {}, {}, {}, {}, {}};
-  TM_RETURN_IF_ERROR(read_header(c));
-  TM_RETURN_IF_ERROR(read_bodies(c, progress));
-  TM_RETURN_IF_ERROR(read_tools(c));
-  TM_RETURN_IF_ERROR(read_ties(c));
-  TM_RETURN_IF_ERROR(read_accepted(c));
+  Model model;
+  TM_ASSIGN_OR_RETURN(settings, read_settings(scene));
+  static_cast<Settings&>(model) = std::move(settings);
+  TM_ASSIGN_OR_RETURN(bodies, read_bodies(scene, progress));
+  BodyBoundaries boundaries(bodies.bodies);
+  TM_ASSIGN_OR_RETURN(tools, read_tools(scene, bodies.merged.nodes, model.dt_s));
+  TM_ASSIGN_OR_RETURN(ties, read_ties(scene, bodies, boundaries));
+  TM_ASSIGN_OR_RETURN(accepted, read_accepted(scene, bodies.bodies, tools.tools));
+  TM_ASSIGN_OR_RETURN(damping, read_damping(scene));
+  for (const ReadBody& body : bodies.bodies) model.bodies.push_back({body, {}, {}, 0});
+  model.tools = std::move(tools.tools);
+  model.tool_samples = std::move(tools.samples);
+  model.body_contacts = ties.contacts;
+  model.accepted = std::move(accepted);
+  append(std::move(bodies.findings), model.findings);
+  append(std::move(tools.findings), model.findings);
+
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kOrderNodes));
-  make_clusters(c);
-  make_layout(c, policy);
+  Clusters clusters = make_clusters(bodies.bodies);
+  append(std::move(clusters.findings), model.findings);
+  model.layout = make_layout(bodies.merged, clusters.clusters, policy);
+
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kBoundaryConditions));
-  TM_RETURN_IF_ERROR(fill_row_fields(c));
-  TM_RETURN_IF_ERROR(fill_boundary_conditions(c));
+  store(make_row_fields(bodies, damping, ties, model, model.layout), model);
+  TM_ASSIGN_OR_RETURN(boundary, make_boundary_conditions(scene, bodies, model, model.layout, model.row_mass));
+  store(std::move(boundary), model);
+
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kElements));
-  TM_RETURN_IF_ERROR(group_elements(c));
-  TM_RETURN_IF_ERROR(check_integrator(c.model));
-  TM_RETURN_IF_ERROR(list_elements_of_rows(c));
-  equip_solve(c, policy);
+  TM_ASSIGN_OR_RETURN(elements, group_elements(bodies, clusters.clusters, model.layout));
+  TM_RETURN_IF_ERROR(check_integrator(model, elements.groups));
+  TM_ASSIGN_OR_RETURN(lists, list_elements_of_rows(model.layout, elements));
+  store(std::move(elements), std::move(lists), model);
+  store(choose_solve(model, ties, model.layout, model.groups, policy), model);
+
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kSurfaces));
-  if (!c.model.tools.empty() || !c.model.body_contacts.empty()) make_contact_surface(c);
-  if (c.has_ties()) make_ties(c);
-  find_free_bodies(c);
-  if (c.model.frame_rate_hz > 0) {
-    TM_RETURN_IF_ERROR(make_visible_surface(c));
-    make_visible_attachments(c);
+  if (!model.tools.empty() || !ties.contacts.empty()) {
+    model.contact = make_contact_surface(bodies, model.layout);
+    const std::vector<SurfaceModuli> moduli = moduli_of_surfaces(bodies.bodies, model.layout, model.contact);
+    for (std::size_t b = 0; b < moduli.size(); ++b) static_cast<SurfaceModuli&>(model.bodies[b]) = moduli[b];
   }
-  find_loose_bodies(c.model);
-  find_mistakes(c);
-  check_model(c.model);
-  return std::move(c.model);
+  if (!ties.empty()) {
+    model.ties = make_ties({.bodies = bodies, .ties = ties, .layout = model.layout, .contact = model.contact});
+  }
+  const bool may_touch = !model.tools.empty() || !ties.empty();
+  if (may_touch && !model.iterates() && !model.quasi_static()) {  // else no step balances momentum
+    model.free_bodies = find_free_bodies({.bodies = bodies,
+                                          .layout = model.layout,
+                                          .rest = model.rest,
+                                          .prescribed_rows = model.prescribed_rows,
+                                          .pressure = model.pressure});
+  }
+  if (model.frame_rate_hz > 0) {
+    TM_ASSIGN_OR_RETURN(visible, make_visible_surface(scene, bodies, boundaries, model.layout));
+    store(std::move(visible), model);
+    store(make_visible_springs(ties.attachments, bodies.merged.nodes, model.layout), model);
+  }
+
+  append(find_loose_bodies(model, model.bodies), model.findings);
+  const bool has_moving_tool =
+      std::any_of(model.tools.begin(), model.tools.end(), [](const ToolModel& tool) { return !tool.fixed; });
+  append(find_mistakes_of_bodies(bodies.bodies, has_moving_tool), model.findings);
+  append(find_mistakes_of_tools({.settings = model,
+                                 .bodies = model.bodies,
+                                 .damping = damping,
+                                 .attachments = ties.attachments,
+                                 .tools = model.tools,
+                                 .tool_samples = model.tool_samples,
+                                 .layout = model.layout,
+                                 .contact = model.contact,
+                                 .rest = model.rest,
+                                 .initial_displacement = model.initial_displacement,
+                                 .initial_velocity = model.initial_velocity}),
+         model.findings);
+  append(find_overlaps({.bodies = bodies,
+                        .boundaries = boundaries,
+                        .contacts = ties.contacts,
+                        .layout = model.layout,
+                        .contact = model.contact}),
+         model.findings);
+  finish_findings(model.accepted, model.findings);
+  check_model(model);
+  return model;
 }
 
 std::uint32_t PatchPolicy::count(std::uint32_t node_count) const {

@@ -2,43 +2,33 @@
 
 #include <array>
 #include <cstdint>
-#include <optional>
 #include <span>
 #include <vector>
 
 #include "core/result.h"
+#include "matrix/layout.h"
+#include "matrix/patch_tetrahedra.h"
+#include "matrix/row_lists.h"
 #include "mesh/mesh.h"
-#include "mesh/surface.h"
 #include "model/compile.h"
-#include "model/material_input.h"
 #include "model/model.h"
-#include "model/scene_input.h"
+#include "model/read_parts.h"
 #include "physics/element/element.h"
 #include "physics/lists.h"
 
-namespace tensormass::v1 {
-class Body;
-class Scene;
-}  // namespace tensormass::v1
-
-/// The parts of model::compile. It calls them in the order of this file, and each adds to the model.
+/// The parts of model::compile, each a function from inputs to outputs. A part can be made again alone: it reads its
+/// parameters only, and what it makes it returns.
+///
+///   read_parts.h   bodies, tools, ties, settings
+///        │
+///        ├─ make_clusters ─ make_layout ──┬─ make_row_fields ─ make_boundary_conditions   fields by row
+///        │                                ├─ group_elements ─ list_elements_of_rows ─ choose_solve
+///        │                                ├─ make_contact_surface ─ make_ties             what tools and bodies touch
+///        │                                └─ make_visible_surface, make_visible_springs   what clients see
+///        └─ find_*                                                                        what is probably a mistake
+///
+/// The Model holds the outputs; compile() moves them there.
 namespace tensormass::model {
-
-/// A body whose message is read and whose mesh is admitted.
-struct ReadBody {
-  mesh::Mesh mesh;
-  std::vector<mesh::EdgeEnds> middle_of;  ///< edges in whose middles the last nodes are (BodyNodes)
-  physics::Quadrature quadrature = physics::Quadrature::kFull;
-  bool consistent_mass = false;
-  double density_kg_per_m3 = 0;
-  std::vector<Material> materials;
-  std::vector<std::uint32_t> element_materials;  ///< [element_count] into materials; empty: all have the first
-
-  const Material& material(std::uint32_t element) const {
-    return materials[element_materials.empty() ? 0 : element_materials[element]];
-  }
-  BodyNodes nodes() const { return {mesh.nodes, middle_of}; }
-};
 
 /// The shape whose element pass evaluates a cluster.
 using ClusterShape = physics::Hexahedron;
@@ -54,106 +44,130 @@ struct Cluster {
   physics::PointGradients<ClusterShape, double> mean;       ///< ā_k and V
 };
 
-/// Springs between two bodies.
-struct ReadAttachment {
-  std::string name;
-  std::vector<std::array<std::uint32_t, 2>> springs;  ///< nodes of the scene
-  double stiffness_n_per_m, breaking_force_n;         ///< one spring's
+/// Makes the layout of a mesh for the patches of a policy. The matrix couples all nodes of an element, and all nodes of
+/// a cluster.
+matrix::Layout make_layout(const mesh::Mesh& mesh, std::span<const Cluster> clusters, const PatchPolicy& policy);
+
+/// Fields of the rows that hold without boundary conditions. The members are those of Model.
+struct RowFields {
+  double size_m = 0;
+  std::vector<double> rest, inertia, row_mass, mass_edges;
 };
+/// damping: [body]
+RowFields make_row_fields(const ReadBodies& bodies, std::span<const Damping> damping, const ReadTies& ties,
+                          const Settings& settings, const matrix::Layout& layout);
 
-/// A model that is being compiled.
-struct Compilation {
-  const v1::Scene& scene;
-  Model model;
-  mesh::Mesh merged;                      ///< the meshes of all bodies, one after the other
-  std::vector<std::size_t> block_bodies;  ///< [block of merged] its body
-  std::vector<ReadBody> bodies;
-  std::vector<Cluster> clusters;
-  std::vector<ReadAttachment> attachments;
-  std::vector<std::optional<mesh::Surface>> surfaces;  ///< [body] those that were asked for
-
-  /// Returns the boundary of a body's mesh, which is made when it is asked for first.
-  const mesh::Surface& surface(std::size_t body);
-  /// Returns the mean edge of that boundary [m].
-  double mean_edge_m(std::size_t body);
-  bool has_ties() const { return !model.body_contacts.empty() || !attachments.empty(); }
+/// Boundary conditions, loads and the initial state. Members without a comment are those of Model.
+struct BoundaryConditions {
+  std::vector<std::uint8_t> held;               ///< [row] bits of the directions that are fixed or prescribed
+  std::vector<std::uint32_t> fixed_node_count;  ///< [body] BodyModel::fixed_node_count
+  std::vector<double> external, initial_displacement, initial_velocity;
+  PrescribedRows prescribed_rows;
+  std::vector<Prescribed> prescribed;
+  PressureSurface pressure;
+  ScheduledLoads scheduled;
 };
+/// row_mass: RowFields::row_mass, for gravity
+Result<BoundaryConditions> make_boundary_conditions(const v1::Scene& scene, const ReadBodies& bodies,
+                                                    const Settings& settings, const matrix::Layout& layout,
+                                                    std::span<const double> row_mass);
+/// Takes the directions that are held from the free ones. rest: RowFields::rest
+void hold_directions(std::span<const std::uint8_t> held, std::span<double> rest);
 
-/// Visits every element of the scene.
-///
-///   visit(shape tag, body, element, nodes, x)   is called once an element. element: numbered in its body; nodes:
-///                                               numbered in the scene; x: their positions [m]. Returns nothing.
-///
-/// Needs mesh::Shape and physics::Shapes in the same order.
-template <class Visit>
-void for_each_element(const Compilation& c, const Visit& visit) {
-  std::uint32_t element = 0;
-  std::size_t body = 0;
-  for (std::size_t b = 0; b < c.merged.blocks.size(); ++b) {
-    const mesh::ElementBlock& block = c.merged.blocks[b];
-    if (c.block_bodies[b] != body) element = 0;
-    body = c.block_bodies[b];
-    physics::for_each_type(physics::Shapes{}, [&](auto tag, int index) {
-      using Shape = typename decltype(tag)::Type;
-      if (index != static_cast<int>(block.shape)) return;
-      for (std::size_t first = 0; first < block.nodes.size(); first += Shape::kNodes, ++element) {
-        const std::span<const std::uint32_t> nodes(block.nodes.data() + first, Shape::kNodes);
-        Vec3<double> x[Shape::kNodes];
-        for (int k = 0; k < Shape::kNodes; ++k) x[k] = c.merged.nodes[nodes[static_cast<std::size_t>(k)]];
-        visit(tag, body, element, nodes, x);
-      }
-    });
-  }
-}
+/// All elements of a scene. The members are those of Model.
+struct GroupedElements {
+  std::vector<ElementGroup> groups;  ///< without row_lists
+  std::vector<double> constant_edges;
+};
+/// Puts every element into a group, and adds up the tensors of linear laws. Fails if an element is folded.
+Result<GroupedElements> group_elements(const ReadBodies& bodies, std::span<const Cluster> clusters,
+                                       const matrix::Layout& layout);
 
-/// Reads the name, stepping, solver, streams and gravity of the scene.
-Result<void> read_header(Compilation& c);
+/// Storage::kRows, kTiles: lists the elements that each row evaluates, for the groups whose tensors are computed in
+/// each step. Empty with kEdges, where elements add to the matrix directly. Fails if a node has too many neighbours.
+Result<matrix::GroupRowLists> list_elements_of_rows(const matrix::Layout& layout, const GroupedElements& elements);
 
-/// Reads the bodies and merges their meshes. Adds the findings of their meshes.
-Result<void> read_bodies(Compilation& c, const Progress& progress);
-
-/// Reads body.law, law_regions and element_fields.
-Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_view where);
-
-/// Reads the tools. Needs the mesh.
-Result<void> read_tools(Compilation& c);
-
-/// Reads contacts between bodies and attachments. Needs the bodies.
-Result<void> read_ties(Compilation& c);
-
-/// Reads the findings that the scene accepts. Needs the bodies and tools.
-Result<void> read_accepted(Compilation& c);
-
-/// Fills rest positions, masses and damping. Needs the layout.
-Result<void> fill_row_fields(Compilation& c);
-
-/// Fills fixed and prescribed nodes, forces, tractions, pressures, gravity, initial displacements and velocities.
-Result<void> fill_boundary_conditions(Compilation& c);
-
-/// Puts every element into a group. Adds the tensors of linear laws to the constant edges.
-Result<void> group_elements(Compilation& c);
-
-/// Storage::kRows, kTiles: lists the elements that each row evaluates.
-Result<void> list_elements_of_rows(Compilation& c);
-
-/// Decides who runs the solve, where its vectors are stored, and which volumes it checks at its end.
-void equip_solve(Compilation& c, const PatchPolicy& policy);
+/// Who runs the solve, where its vectors are stored, and which volumes it checks at its end.
+struct SolveChoice {
+  SolveKind kind = SolveKind::kStages;
+  bool keeps_vectors = false;               ///< Model::solve_keeps_vectors
+  std::vector<std::size_t> checked_groups;  ///< groups with ElementGroup::solve_checks_volume
+  matrix::PatchTetrahedra checked;          ///< Model::checked
+};
+SolveChoice choose_solve(const Settings& settings, const ReadTies& ties, const matrix::Layout& layout,
+                         std::span<const ElementGroup> groups, const PatchPolicy& policy);
 
 /// Makes the triangles that tools and bodies can touch: the boundary of all bodies.
-void make_contact_surface(Compilation& c);
-/// Makes the ties of contacts between bodies and of attachments. Needs the contact surface if bodies touch.
-void make_ties(Compilation& c);
-/// Finds the free bodies whose momentum each step balances. Needs the layout, boundary conditions, tools and ties.
-void find_free_bodies(Compilation& c);
-/// Makes the vertices that clients see: the skin of each body, or the boundary of its mesh.
-Result<void> make_visible_surface(Compilation& c);
-/// Makes the ends of springs that clients see. Needs the visible surface.
-void make_visible_attachments(Compilation& c);
+ContactSurface make_contact_surface(const ReadBodies& bodies, const matrix::Layout& layout);
+/// Returns the moduli behind the contact surface of each body.
+std::vector<SurfaceModuli> moduli_of_surfaces(std::span<const ReadBody> bodies, const matrix::Layout& layout,
+                                              const ContactSurface& contact);
 
-/// Finds what is probably a mistake in the scene, and marks what the scene accepts. Needs all of the above.
-void find_mistakes(Compilation& c);
-/// The parts of find_mistakes: in overlaps.cpp and tool_mistakes.cpp.
-void find_overlaps(Compilation& c);
-void find_mistakes_of_tools(Compilation& c);
+struct TieInput {
+  const ReadBodies& bodies;
+  const ReadTies& ties;
+  const matrix::Layout& layout;
+  const ContactSurface& contact;  ///< empty if bodies do not touch
+};
+/// Makes the ties of contacts between bodies and of attachments.
+Ties make_ties(const TieInput& input);
+
+struct FreeBodyInput {
+  const ReadBodies& bodies;
+  const matrix::Layout& layout;
+  std::span<const double> rest;  ///< Model::rest
+  const PrescribedRows& prescribed_rows;
+  const PressureSurface& pressure;
+};
+/// Finds the free bodies whose momentum a step can balance.
+FreeBodies find_free_bodies(const FreeBodyInput& input);
+
+/// What clients see of the bodies.
+struct VisibleBodies {
+  VisibleSurface surface;
+  std::vector<VisibleBody> bodies;
+  std::vector<Finding> findings;  ///< those of their skins
+};
+/// Makes the vertices that clients see: the skin of each body, or the boundary of its mesh.
+Result<VisibleBodies> make_visible_surface(const v1::Scene& scene, const ReadBodies& bodies, BodyBoundaries& boundaries,
+                                           const matrix::Layout& layout);
+
+/// The springs that clients see, and the points at their ends.
+struct VisibleSprings {
+  std::vector<VisibleAttachment> attachments;
+  std::vector<std::uint32_t> rows;  ///< [attachment point, 4], as in VisibleSurface
+  std::vector<double> weights;      ///< [attachment point, 4]
+};
+/// nodes: of the merged mesh
+VisibleSprings make_visible_springs(std::span<const ReadAttachment> attachments, std::span<const Eigen::Vector3d> nodes,
+                                    const matrix::Layout& layout);
+
+/// Finds bodies that are too large, lock, or have a law that gets softer where a tool presses.
+std::vector<Finding> find_mistakes_of_bodies(std::span<const ReadBody> bodies, bool has_moving_tool);
+
+struct ToolMistakeInput {
+  const Settings& settings;
+  std::span<const BodyModel> bodies;
+  std::span<const Damping> damping;  ///< [body]
+  std::span<const ReadAttachment> attachments;
+  std::span<const ToolModel> tools;
+  std::span<const float> tool_samples;
+  const matrix::Layout& layout;
+  const ContactSurface& contact;
+  std::span<const double> rest, initial_displacement, initial_velocity;  ///< as of Model
+};
+/// Finds tools that start inside tissue, that are smaller than the triangles which they touch, and that a free body
+/// passes within a step.
+std::vector<Finding> find_mistakes_of_tools(const ToolMistakeInput& input);
+
+struct OverlapInput {
+  const ReadBodies& bodies;
+  BodyBoundaries& boundaries;
+  std::span<const BodyContactModel> contacts;
+  const matrix::Layout& layout;
+  const ContactSurface& contact;
+};
+/// Finds bodies that overlap at rest.
+std::vector<Finding> find_overlaps(const OverlapInput& input);
 
 }  // namespace tensormass::model

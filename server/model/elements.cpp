@@ -122,9 +122,8 @@ matrix::ElementRows rows_of(const ElementGroup& group) {
 
 /// Adds K_kl of an element with a linear law to the constant edges.
 template <class Shape>
-void add_constant_tensors(Compilation& c, const Material& material, std::span<const std::uint32_t> nodes,
-                          const physics::ElementAtRest<Shape>& rest) {
-  const matrix::Layout& layout = c.model.layout;
+void add_constant_tensors(const matrix::Layout& layout, const Material& material, std::span<const std::uint32_t> nodes,
+                          const physics::ElementAtRest<Shape>& rest, std::span<double> constant_edges) {
   physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
     using Law = typename decltype(tag)::Type;
     if constexpr (Law::kConstantStiffness) {
@@ -134,7 +133,7 @@ void add_constant_tensors(Compilation& c, const Material& material, std::span<co
       const auto tensors =
           physics::element_tensors<Law>(rest, at_rest, material.parameters.data(), physics::Stiffness::kConsistent);
       const auto add = [&](std::uint32_t slot, const Mat3<double>& block) {
-        double* edges = c.model.constant_edges.data();
+        double* edges = constant_edges.data();
         for (std::uint32_t i = 0; i < 9; ++i) edges[layout.component(slot, i)] += block(i / 3, i % 3);
       };
       for (int k = 0; k < Shape::kNodes; ++k) {
@@ -195,19 +194,20 @@ Material kept_by_member(Material material, double deviatoric_part) {
 }
 
 /// Returns the error for a folded element. element: numbered in the scene.
-Result<void> refuse_folded(const Model& model, std::uint32_t element) {
-  const auto body = std::find_if(model.bodies.begin(), model.bodies.end(),
-                                 [&](const BodyModel& one) { return element - one.element_begin < one.element_count; });
+Result<GroupedElements> refuse_folded(std::span<const ReadBody> bodies, std::uint32_t element) {
+  const ReadBody& body = bodies[body_of_element(bodies, element)];
   return invalid(
       fmt::format("body '{}': element {} is folded between its nodes (a quadrature point has no positive "
                   "volume); move its nodes towards a regular shape",
-                  body->name, element - body->element_begin));
+                  body.name, element - body.element_begin));
 }
 
 }  // namespace
 
-Result<void> group_elements(Compilation& c) {
-  const matrix::Layout& layout = c.model.layout;
+Result<GroupedElements> group_elements(const ReadBodies& all, std::span<const Cluster> clusters,
+                                       const matrix::Layout& layout) {
+  const std::vector<ReadBody>& bodies = all.bodies;
+  GroupedElements out;
   std::vector<std::vector<physics::PronyTerm>> all_series{{}};  // each once; the first is that of elastic laws
   const auto series_of = [&](const std::vector<physics::PronyTerm>& terms) {
     const auto found = std::find(all_series.begin(), all_series.end(), terms);
@@ -220,16 +220,16 @@ Result<void> group_elements(Compilation& c) {
   const auto collect = [&]<class Shape>(const physics::ElementAtRest<Shape>& rest, Share share, std::size_t b,
                                         std::uint32_t element, const Material& material,
                                         std::span<const std::uint32_t> nodes) -> Collected& {
-    const ReadBody& body = c.bodies[b];
+    const ReadBody& body = bodies[b];
     const bool alone = material.constant_stiffness || !material.prony.empty();
     Collected& group = collected[{material.constant_stiffness, physics::index_of<Shape>(physics::Shapes{}),
                                   material.law, body.quadrature, share, alone ? b : 0, series_of(material.prony)}];
     if (material.constant_stiffness) {
-      if (c.model.constant_edges.empty()) c.model.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
-      add_constant_tensors(c, material, nodes, rest);
+      if (out.constant_edges.empty()) out.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
+      add_constant_tensors(layout, material, nodes, rest, out.constant_edges);
     }
     if (group.elements.empty()) {  // reserves for the whole body: growing would copy large vectors many times
-      const std::size_t most = c.model.bodies[b].element_count;
+      const std::size_t most = body.element_count;
       group.elements.reserve(most);
       group.rows.reserve(most * Shape::kNodes);
       group.rest.reserve(most * rest.points.size() * physics::kRestReals<Shape>);
@@ -237,17 +237,17 @@ Result<void> group_elements(Compilation& c) {
     }
     group.nodes = Shape::kNodes;
     group.shares = rest.shares;
-    group.elements.push_back(c.model.bodies[b].element_begin + element);
+    group.elements.push_back(body.element_begin + element);
     for (const std::uint32_t node : nodes) group.rows.push_back(layout.row_of_node[node]);
     for (const auto& point : rest.points) group.rest.insert(group.rest.end(), point.begin(), point.end());
     group.parameters.insert(group.parameters.end(), material.parameters.begin(), material.parameters.end());
     return group;
   };
 
-  std::vector<const Cluster*> cluster_of(mesh::element_count(c.merged), nullptr);
-  for (const Cluster& cluster : c.clusters) {
-    const std::uint32_t begin = c.model.bodies[cluster.body].element_begin;
-    const Material& material = c.bodies[cluster.body].material(cluster.elements[0]);
+  std::vector<const Cluster*> cluster_of(mesh::element_count(all.merged), nullptr);
+  for (const Cluster& cluster : clusters) {
+    const std::uint32_t begin = bodies[cluster.body].element_begin;
+    const Material& material = bodies[cluster.body].material(cluster.elements[0]);
     const Share share = cluster.deviatoric_part > 0 ? Share::kMean : Share::kDilatation;
     Collected& group =
         collect(mean_at_rest(cluster), share, cluster.body, cluster.elements[0], material, cluster.nodes);
@@ -259,14 +259,14 @@ Result<void> group_elements(Compilation& c) {
   }
   std::uint32_t folded = mesh::kNone;
   for_each_element(
-      c, [&](auto tag, std::size_t b, std::uint32_t element, std::span<const std::uint32_t> nodes, const auto& x) {
+      all, [&](auto tag, std::size_t b, std::uint32_t element, std::span<const std::uint32_t> nodes, const auto& x) {
         using Shape = typename decltype(tag)::Type;
-        const std::uint32_t of_scene = c.model.bodies[b].element_begin + element;
-        physics::ElementAtRest<Shape> rest(x, c.bodies[b].quadrature);
+        const std::uint32_t of_scene = bodies[b].element_begin + element;
+        physics::ElementAtRest<Shape> rest(x, bodies[b].quadrature);
         for (const auto& point : rest.points) {
           if (!(point.back() > 0)) folded = std::min(folded, of_scene);
         }
-        const Material& material = c.bodies[b].material(element);
+        const Material& material = bodies[b].material(element);
         if (cluster_of[of_scene] == nullptr) {
           collect(rest, Share::kWhole, b, element, material, nodes);
         } else if constexpr (Shape::kSinglePoint) {
@@ -279,52 +279,51 @@ Result<void> group_elements(Compilation& c) {
         }
       });
 
-  if (folded != mesh::kNone) return refuse_folded(c.model, folded);
+  if (folded != mesh::kNone) return refuse_folded(bodies, folded);
 
   for (const auto& [key, elements] : collected) {
-    c.model.groups.push_back(make_group(key, elements, layout));
-    c.model.groups.back().prony = all_series[key.series];
+    out.groups.push_back(make_group(key, elements, layout));
+    out.groups.back().prony = all_series[key.series];
   }
-  return {};
+  return out;
 }
 
-void equip_solve(Compilation& c, const PatchPolicy& policy) {
-  Model& model = c.model;
-  if (model.layout.storage == matrix::Storage::kEdges || model.double_precision) return;
-  if (c.has_ties()) return;  // the fused solves know only neighbours in the mesh (solver/tie_product.h)
-  const std::uint32_t rows = model.layout.largest_patch();
-  if (policy.solve_of) model.solve = policy.solve_of(model.layout);
-  model.solve_keeps_vectors = rows <= policy.solve_keeps_rows;
-  // The solve checks volumes only if it is the last of its step, which Newton iterations do not know in advance.
-  // PatchTetrahedra stores local numbers in 16 bits.
-  if (model.iterates() || !model.solve_keeps_vectors || rows > 0xFFFF) return;
-  std::vector<matrix::ElementRows> tetrahedra;
-  for (ElementGroup& group : model.groups) {
-    if (!group.checks_volume || group.shape != physics::index_of<physics::LinearTetrahedron>(physics::Shapes{}))
-      continue;
-    group.solve_checks_volume = true;
-    tetrahedra.push_back(rows_of(group));
-  }
-  if (!tetrahedra.empty()) model.checked = matrix::share_out_tetrahedra(model.layout, tetrahedra);
-}
-
-Result<void> list_elements_of_rows(Compilation& c) {
-  Model& model = c.model;
-  if (model.layout.storage == matrix::Storage::kEdges) return {};  // elements add to the matrix directly
-  if (const std::uint32_t widest = model.layout.widest_slice(); widest >= matrix::own_place(16)) {
+Result<matrix::GroupRowLists> list_elements_of_rows(const matrix::Layout& layout, const GroupedElements& elements) {
+  if (layout.storage == matrix::Storage::kEdges) return matrix::GroupRowLists{};  // elements add to the matrix directly
+  if (const std::uint32_t widest = layout.widest_slice(); widest >= matrix::own_place(16)) {
     return fail(ErrorCode::kResourceExhausted,
                 fmt::format("a node has {} neighbours, and rows of the matrix hold fewer than {}; "
                             "split the elements around it",
                             widest, matrix::own_place(16)));
   }
   std::vector<matrix::ElementRows> rows;  // [group] only the first groups compute tensors in each step
-  for (const ElementGroup& group : model.groups) {
+  for (const ElementGroup& group : elements.groups) {
     if (!group.is_constant) rows.push_back(rows_of(group));
   }
-  matrix::GroupRowLists lists = matrix::make_row_lists(model.layout, rows, model.constant_edges.empty());
-  for (std::size_t g = 0; g < rows.size(); ++g) model.groups[g].row_lists = std::move(lists.groups[g]);
-  model.begun_slices = std::move(lists.begun_slices);
-  return {};
+  return matrix::make_row_lists(layout, rows, elements.constant_edges.empty());
+}
+
+SolveChoice choose_solve(const Settings& settings, const ReadTies& ties, const matrix::Layout& layout,
+                         std::span<const ElementGroup> groups, const PatchPolicy& policy) {
+  SolveChoice out;
+  if (layout.storage == matrix::Storage::kEdges || settings.double_precision) return out;
+  if (!ties.empty()) return out;  // the fused solves know only neighbours in the mesh (solver/tie_product.h)
+  const std::uint32_t rows = layout.largest_patch();
+  if (policy.solve_of) out.kind = policy.solve_of(layout);
+  out.keeps_vectors = rows <= policy.solve_keeps_rows;
+  // The solve checks volumes only if it is the last of its step, which Newton iterations do not know in advance.
+  // PatchTetrahedra stores local numbers in 16 bits.
+  if (settings.iterates() || !out.keeps_vectors || rows > 0xFFFF) return out;
+  std::vector<matrix::ElementRows> tetrahedra;
+  for (std::size_t g = 0; g < groups.size(); ++g) {
+    const ElementGroup& group = groups[g];
+    if (!group.checks_volume || group.shape != physics::index_of<physics::LinearTetrahedron>(physics::Shapes{}))
+      continue;
+    out.checked_groups.push_back(g);
+    tetrahedra.push_back(rows_of(group));
+  }
+  if (!tetrahedra.empty()) out.checked = matrix::share_out_tetrahedra(layout, tetrahedra);
+  return out;
 }
 
 }  // namespace tensormass::model

@@ -4,7 +4,7 @@
 #include <fmt/format.h>
 
 #include "mesh/shapes.h"
-#include "model/compile_parts.h"
+#include "model/read_parts.h"
 #include "model/scene_input.h"
 #include "tensormass/v1/scene.pb.h"
 

@@ -14,9 +14,9 @@ namespace tensormass::model {
 namespace {
 
 /// A mesh in millimetres that was taken as metres.
-void find_large_body(const ReadBody& read, const BodyModel& body, std::vector<Finding>& findings) {
+void find_large_body(const ReadBody& body, std::vector<Finding>& findings) {
   Eigen::AlignedBox3d box;
-  for (const Eigen::Vector3d& node : read.mesh.nodes) box.extend(node);
+  for (const Eigen::Vector3d& node : body.mesh.nodes) box.extend(node);
   const Eigen::Vector3d size_m = box.sizes();
   if (!(size_m.maxCoeff() > thresholds::kLargeBodyM)) return;
   findings.push_back(
@@ -32,14 +32,14 @@ void find_large_body(const ReadBody& read, const BodyModel& body, std::vector<Fi
 }
 
 /// Linear elements in full quadrature that cannot change their shape without changing their volume.
-void find_locking(const ReadBody& read, const BodyModel& body, std::vector<Finding>& findings) {
-  if (read.quadrature != physics::Quadrature::kFull) return;
+void find_locking(const ReadBody& body, std::vector<Finding>& findings) {
+  if (body.quadrature != physics::Quadrature::kFull) return;
   std::uint32_t count = 0;
   double largest = 0, limit = 0;
   const mesh::Topology* shape = nullptr;
   const mesh::Topology& tetrahedron = mesh::topology(mesh::Shape::kTetrahedron);
-  mesh::for_each_element(read.mesh, [&](std::uint32_t e, const mesh::Topology& of, std::span<const std::uint32_t>) {
-    const double poisson = read.material(e).poisson_ratio;
+  mesh::for_each_element(body.mesh, [&](std::uint32_t e, const mesh::Topology& of, std::span<const std::uint32_t>) {
+    const double poisson = body.material(e).poisson_ratio;
     const double stands = &of == &tetrahedron ? thresholds::kLockingPoisson : thresholds::kLockingPoissonOfOthers;
     if (of.has_mid_edge_nodes() || !(poisson > stands)) return;
     ++count;
@@ -62,12 +62,12 @@ void find_locking(const ReadBody& read, const BodyModel& body, std::vector<Findi
 }
 
 /// A law that gets softer where a tool presses it.
-void find_softening_law(const ReadBody& read, const BodyModel& body, std::vector<Finding>& findings) {
+void find_softening_law(const ReadBody& body, std::vector<Finding>& findings) {
   physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
     using Law = typename decltype(tag)::Type;
     if constexpr (requires { Law::kLeastStretch; }) {
       const auto has_it = [index](const Material& material) { return material.law == index; };
-      if (std::none_of(read.materials.begin(), read.materials.end(), has_it)) return;
+      if (std::none_of(body.materials.begin(), body.materials.end(), has_it)) return;
       findings.push_back(
           {.code = FindingCode::kSofteningLaw,
            .value = Law::kLeastStretch,
@@ -84,14 +84,16 @@ void find_softening_law(const ReadBody& read, const BodyModel& body, std::vector
 
 }  // namespace
 
-Result<void> read_accepted(Compilation& c) {
-  if (static_cast<std::size_t>(c.scene.accepted_findings_size()) > limits::kMaxAcceptedFindings) {
+Result<std::vector<AcceptedFinding>> read_accepted(const v1::Scene& scene, std::span<const ReadBody> bodies,
+                                                   std::span<const ToolModel> tools) {
+  if (static_cast<std::size_t>(scene.accepted_findings_size()) > limits::kMaxAcceptedFindings) {
     return fail(ErrorCode::kResourceExhausted,
                 fmt::format("scene.accepted_findings: {} exceed limits::kMaxAcceptedFindings = {}",
-                            c.scene.accepted_findings_size(), limits::kMaxAcceptedFindings));
+                            scene.accepted_findings_size(), limits::kMaxAcceptedFindings));
   }
-  for (int i = 0; i < c.scene.accepted_findings_size(); ++i) {
-    const v1::AcceptedFinding& accepted = c.scene.accepted_findings(i);
+  std::vector<AcceptedFinding> out;
+  for (int i = 0; i < scene.accepted_findings_size(); ++i) {
+    const v1::AcceptedFinding& accepted = scene.accepted_findings(i);
     const std::string where = fmt::format("scene.accepted_findings[{}]", i);
     const auto kind = std::find_if(kFindingKinds.begin(), kFindingKinds.end(), [&](const FindingKind& one) {
       return static_cast<int>(one.code) == static_cast<int>(accepted.code());
@@ -111,34 +113,25 @@ Result<void> read_accepted(Compilation& c) {
       return name.empty() ||
              std::any_of(things.begin(), things.end(), [&](const auto& one) { return one.name == name; });
     };
-    if (!has(c.model.bodies, accepted.body())) {
+    if (!has(bodies, accepted.body())) {
       return invalid(fmt::format("{}.body: the scene has no body '{}'", where, accepted.body()));
     }
-    if (!has(c.model.tools, accepted.tool())) {
+    if (!has(tools, accepted.tool())) {
       return invalid(fmt::format("{}.tool: the scene has no tool '{}'", where, accepted.tool()));
     }
-    c.model.accepted.push_back({kind->code, accepted.body(), accepted.tool(), accepted.reason()});
+    out.push_back({kind->code, accepted.body(), accepted.tool(), accepted.reason()});
   }
-  return {};
+  return out;
 }
 
-void find_mistakes(Compilation& c) {
-  std::vector<Finding>& findings = c.model.findings;
-  const bool has_moving_tool =
-      std::any_of(c.model.tools.begin(), c.model.tools.end(), [](const ToolModel& tool) { return !tool.fixed; });
-  for (std::size_t b = 0; b < c.bodies.size(); ++b) {
-    find_large_body(c.bodies[b], c.model.bodies[b], findings);
-    find_locking(c.bodies[b], c.model.bodies[b], findings);
-    if (has_moving_tool) find_softening_law(c.bodies[b], c.model.bodies[b], findings);
+std::vector<Finding> find_mistakes_of_bodies(std::span<const ReadBody> bodies, bool has_moving_tool) {
+  std::vector<Finding> findings;
+  for (const ReadBody& body : bodies) {
+    find_large_body(body, findings);
+    find_locking(body, findings);
+    if (has_moving_tool) find_softening_law(body, findings);
   }
-  find_mistakes_of_tools(c);
-  find_overlaps(c);
-  if (findings.size() > limits::kMaxFindings) {
-    const std::size_t more = findings.size() - limits::kMaxFindings;
-    findings.resize(limits::kMaxFindings);
-    findings.back().remedy += fmt::format(" (and {} more findings)", more);
-  }
-  for (Finding& finding : findings) accept(finding, c.model.accepted);
+  return findings;
 }
 
 }  // namespace tensormass::model

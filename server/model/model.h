@@ -4,7 +4,6 @@
 #include <array>
 #include <cstdint>
 #include <memory>
-#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -15,12 +14,12 @@
 #include "matrix/row_lists.h"
 #include "mesh/mesh.h"
 #include "model/schedule.h"
+#include "model/settings.h"
 #include "model/texture.h"
 #include "physics/element/prony.h"
 #include "physics/element/rest.h"
 #include "physics/tool/pose.h"
 #include "physics/tool/tool.h"
-#include "solver/time_scheme.h"
 #include "view/ties.h"
 
 namespace tensormass::v1 {
@@ -207,23 +206,52 @@ struct VisibleAttachment {
   double stiffness_n_per_m = 0, breaking_force_n = 0;
 };
 
-struct BodyModel {
+/// A body as its scene describes it, after its mesh was admitted.
+struct AdmittedBody {
   std::string name;
   std::uint32_t node_begin = 0, node_count = 0;        ///< range in the scene's nodes
   std::uint32_t element_begin = 0, element_count = 0;  ///< range in the scene's elements
-  std::uint32_t fixed_node_count = 0;                  ///< fixed or prescribed in at least one direction
   std::uint32_t component_count = 0;
   double volume_m3 = 0, mass_kg = 0, min_dihedral_angle_deg = 0;
+  bool has_color = false;
+  Vec3<double> color_srgb = Vec3<double>::Zero();
+
+  bool has_node(std::uint32_t node) const { return node - node_begin < node_count; }
+  bool has_element(std::uint32_t element) const { return element - element_begin < element_count; }
+};
+
+/// A body as clients see it. Empty: the scene has no frames.
+struct VisibleBody {
   std::uint32_t vertex_begin = 0, vertex_count = 0;  ///< range in the visible surface
   std::vector<mesh::Triangle> triangles;             ///< visible, relative to vertex_begin
   std::vector<std::uint32_t> vertex_nodes;           ///< mesh node of each visible vertex; empty for a skin
-  /// Least and largest Young's modulus behind its surface [Pa]; only in scenes with a contact surface.
-  double least_surface_modulus_pa = 0, most_surface_modulus_pa = 0;
   bool has_skin = false;
-  bool has_color = false;
-  Vec3<double> color_srgb = Vec3<double>::Zero();
   Texture texture;
 };
+
+/// Least and largest Young's modulus behind the surface of a body [Pa]. Zero: the scene has no contact surface.
+struct SurfaceModuli {
+  double least_surface_modulus_pa = 0, most_surface_modulus_pa = 0;
+};
+
+struct BodyModel : AdmittedBody, VisibleBody, SurfaceModuli {
+  std::uint32_t fixed_node_count = 0;  ///< fixed or prescribed in at least one direction
+};
+
+/// Returns the place of the body that has a node or an element, numbered in the scene. bodies: AdmittedBody or derived,
+/// in the order of their ranges.
+template <class Bodies>
+std::size_t body_of_node(const Bodies& bodies, std::uint32_t node) {
+  const auto after = std::upper_bound(bodies.begin(), bodies.end(), node,
+                                      [](std::uint32_t i, const AdmittedBody& body) { return i < body.node_begin; });
+  return static_cast<std::size_t>(after - bodies.begin()) - 1;
+}
+template <class Bodies>
+std::size_t body_of_element(const Bodies& bodies, std::uint32_t element) {
+  const auto after = std::upper_bound(bodies.begin(), bodies.end(), element,
+                                      [](std::uint32_t i, const AdmittedBody& body) { return i < body.element_begin; });
+  return static_cast<std::size_t>(after - bodies.begin()) - 1;
+}
 
 /// Contact of a body with another, or with itself.
 struct BodyContactModel {
@@ -296,32 +324,7 @@ struct ToolModel {
   }
 };
 
-using solver::Integrator;
-
-struct Model {
-  std::string name;
-  bool double_precision = false;
-  bool lockstep = false;
-  double dt_s = 0;
-  double rate_hz = 0;
-  double frame_rate_hz = 0;
-  double status_rate_hz = 0;
-  Integrator integrator = Integrator::kImplicitEuler;
-  std::uint32_t newton_max_iterations = 1;
-  double newton_tolerance = 0;
-  bool allow_unconverged = false;  ///< keep a quasi-static step above newton_tolerance
-  double cg_tolerance = 0;
-  double budget_s = 0;                    ///< time that a step may take; 0: no limit
-  std::uint32_t floor_cg_iterations = 0;  ///< the budget may lower cg_max_iterations to this
-  double floor_tolerance = 0;             ///< steps with a larger residual are not published; 0: no limit
-  std::uint32_t cg_max_iterations = 0;
-  /// Bounds that the scene sets for the guard; absent: world/guard.h has defaults.
-  std::optional<double> max_move_m, max_distance_m, max_energy_ratio;
-  bool goes_on = false;  ///< v1::Guard::ON_FAULT_GO_ON
-  Vec3<double> gravity_m_per_s2 = Vec3<double>::Zero();
-  bool has_gravity = false;
-  Schedule gravity_schedule;
-
+struct Model : Settings {
   std::vector<BodyModel> bodies;
   std::vector<ToolModel> tools;
   std::vector<BodyContactModel> body_contacts;
@@ -356,14 +359,8 @@ struct Model {
   std::vector<VisibleAttachment> attachments;  ///< empty: no frames, or no attachments
 
   /// Returns the place of the body that has a node or an element, numbered in the scene.
-  std::size_t body_of_node(std::uint32_t node) const;
-  std::size_t body_of_element(std::uint32_t element) const;
-  /// Returns whether a step runs Newton's method: more than one linear solve.
-  bool iterates() const { return newton_max_iterations > 1; }
-  /// Returns whether each step is an equilibrium, without inertia.
-  bool quasi_static() const { return integrator == Integrator::kQuasiStatic; }
-  /// Returns whether a step solves for its middle and continues to its end.
-  bool extrapolates() const { return integrator == Integrator::kImplicitMidpoint; }
+  std::size_t body_of_node(std::uint32_t node) const { return model::body_of_node(bodies, node); }
+  std::size_t body_of_element(std::uint32_t element) const { return model::body_of_element(bodies, element); }
   /// Returns whether a step needs neither û nor v̂ (view/state.h): implicit Euler, linearized once, without prescribed
   /// displacements. A prescribed node needs v̂ because its neighbours feel that, not its velocity, through a consistent
   /// mass. Its velocity is also written before a plain step would save its checkpoint.

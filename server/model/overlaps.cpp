@@ -54,16 +54,17 @@ struct Inside {
 
 class Overlaps {
  public:
-  explicit Overlaps(Compilation& c) : c_(c), boxes_(c.bodies.size()), surfaces_(c.bodies.size()) {
+  explicit Overlaps(const OverlapInput& input)
+      : in_(input), bodies_(input.bodies.bodies), boxes_(bodies_.size()), surfaces_(bodies_.size()) {
     for (std::size_t b = 0; b < boxes_.size(); ++b) {
-      for (const Eigen::Vector3d& node : c.bodies[b].mesh.nodes) boxes_[b].extend(node);
+      for (const Eigen::Vector3d& node : bodies_[b].mesh.nodes) boxes_[b].extend(node);
     }
-    for (const BodyContactModel& contact : c.model.body_contacts) {
+    for (const BodyContactModel& contact : input.contacts) {
       contacts_.emplace(std::minmax(contact.body, contact.other), &contact);
     }
   }
 
-  void find() {
+  std::vector<Finding> find() {
     for (std::size_t body = 0; body < boxes_.size(); ++body) {
       for (std::size_t other = body + 1; other < boxes_.size(); ++other) {
         if (!boxes_[body].intersects(boxes_[other])) continue;
@@ -75,6 +76,7 @@ class Overlaps {
         }
       }
     }
+    return std::move(findings_);
   }
 
  private:
@@ -156,11 +158,11 @@ class Overlaps {
     return (of.vertices[t[0]] + of.vertices[t[1]] + of.vertices[t[2]]) / 3;
   }
 
-  const std::string& name(std::size_t body) const { return c_.model.bodies[body].name; }
+  const std::string& name(std::size_t body) const { return bodies_[body].name; }
 
   void add(std::size_t body, std::size_t other, double value_m, double limit_m, const std::string& what,
            std::string remedy) {
-    c_.model.findings.push_back(
+    findings_.push_back(
         {.code = FindingCode::kOverlap,
          .value = value_m,
          .limit = limit_m,
@@ -174,13 +176,12 @@ class Overlaps {
   RestSurface& surface(std::size_t body) {
     std::optional<RestSurface>& out = surfaces_[body];
     if (out) return *out;
-    const bool is_known = body < c_.surfaces.size() && c_.surfaces[body];
-    if (!is_known && c_.model.contact.triangle_count() > 0) {
+    if (!in_.boundaries.has(body) && in_.contact.triangle_count() > 0) {
       take_contact_surfaces();
     } else {
-      const mesh::Surface& of = c_.surface(body);
+      const mesh::Surface& of = in_.boundaries.of(body);
       out.emplace(RestSurface{{}, of.triangles, of.neighbours, {}});
-      for (const std::uint32_t node : of.nodes) out->vertices.push_back(c_.bodies[body].mesh.nodes[node]);
+      for (const std::uint32_t node : of.nodes) out->vertices.push_back(bodies_[body].mesh.nodes[node]);
     }
     return *out;
   }
@@ -188,15 +189,15 @@ class Overlaps {
   /// Takes the boundaries of the bodies that are not known yet from the contact surface, which costs much less than to
   /// make them again.
   void take_contact_surfaces() {
-    const ContactSurface& contact = c_.model.contact;
+    const ContactSurface& contact = in_.contact;
     std::vector<std::uint32_t> place(contact.surface_rows.size());  // by vertex, among those of its body
     std::vector<std::size_t> bodies(place.size());
     std::vector<RestSurface> all(surfaces_.size());
     for (std::size_t vertex = 0; vertex < place.size(); ++vertex) {
-      const std::uint32_t node = c_.model.layout.node_of_row[contact.surface_rows[vertex]];
-      bodies[vertex] = c_.model.body_of_node(node);
+      const std::uint32_t node = in_.layout.node_of_row[contact.surface_rows[vertex]];
+      bodies[vertex] = body_of_node(bodies_, node);
       place[vertex] = static_cast<std::uint32_t>(all[bodies[vertex]].vertices.size());
-      all[bodies[vertex]].vertices.push_back(c_.merged.nodes[node]);
+      all[bodies[vertex]].vertices.push_back(in_.bodies.merged.nodes[node]);
     }
     std::vector<std::uint32_t> triangle_place(contact.triangle_count());
     for (std::size_t t = 0; t < triangle_place.size(); ++t) {
@@ -217,7 +218,9 @@ class Overlaps {
     }
   }
 
-  Compilation& c_;
+  const OverlapInput& in_;
+  const std::vector<ReadBody>& bodies_;
+  std::vector<Finding> findings_;
   std::vector<Eigen::AlignedBox3d> boxes_;
   std::vector<std::optional<RestSurface>> surfaces_;  // by body, when they are asked for
   std::map<Pair, const BodyContactModel*> contacts_;
@@ -225,8 +228,9 @@ class Overlaps {
 
 }  // namespace
 
-void find_overlaps(Compilation& c) {
-  if (c.bodies.size() > 1) Overlaps(c).find();
+std::vector<Finding> find_overlaps(const OverlapInput& input) {
+  if (input.bodies.bodies.size() < 2) return {};
+  return Overlaps(input).find();
 }
 
 }  // namespace tensormass::model

@@ -7,7 +7,7 @@
 #include "mesh/curve.h"
 #include "mesh/elevate.h"
 #include "mesh/shapes.h"
-#include "model/compile_parts.h"
+#include "model/read_parts.h"
 #include "model/scene_input.h"
 #include "tensormass/v1/scene.pb.h"
 
@@ -86,9 +86,9 @@ Result<bool> read_makes_quadratic(const v1::Body& body, std::string_view where) 
 }
 
 /// Refuses a mesh with which the scene would exceed the limits.
-Result<void> check_scene_size(const Compilation& c, const mesh::Mesh& mesh, std::string_view where) {
-  const std::uint64_t nodes = c.merged.nodes.size() + mesh.nodes.size();
-  const std::uint64_t elements = std::uint64_t{mesh::element_count(c.merged)} + mesh::element_count(mesh);
+Result<void> check_scene_size(const mesh::Mesh& merged, const mesh::Mesh& mesh, std::string_view where) {
+  const std::uint64_t nodes = merged.nodes.size() + mesh.nodes.size();
+  const std::uint64_t elements = std::uint64_t{mesh::element_count(merged)} + mesh::element_count(mesh);
   if (nodes <= limits::kMaxNodes && elements <= limits::kMaxElements) return {};
   return fail(ErrorCode::kResourceExhausted,
               fmt::format("{}: the scene would have {} nodes and {} elements; limits::kMaxNodes = {}, "
@@ -96,16 +96,17 @@ Result<void> check_scene_size(const Compilation& c, const mesh::Mesh& mesh, std:
                           where, nodes, elements, limits::kMaxNodes, limits::kMaxElements));
 }
 
-/// Reads one body, checks its mesh, and appends it to the mesh of the scene.
-Result<void> read_body(Compilation& c, std::size_t index, const Progress& progress) {
-  const v1::Body& body = c.scene.bodies(static_cast<int>(index));
-  const auto body_count = static_cast<std::size_t>(c.scene.bodies_size());
+/// Reads one body, checks its mesh, and appends it to those of the scene.
+Result<void> read_body(const v1::Scene& scene, const Progress& progress, ReadBodies& all) {
+  const std::size_t index = all.bodies.size();
+  const v1::Body& body = scene.bodies(static_cast<int>(index));
+  const auto body_count = static_cast<std::size_t>(scene.bodies_size());
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kReadMesh, index, body_count));
   const std::string where = fmt::format("body '{}'", body.name());
   TM_RETURN_IF_ERROR(check_counts(body, where));
   TM_ASSIGN_OR_RETURN(makes_quadratic, read_makes_quadratic(body, where));
   TM_ASSIGN_OR_RETURN(mesh, read_mesh(body, where));
-  TM_RETURN_IF_ERROR(check_scene_size(c, mesh, where));
+  TM_RETURN_IF_ERROR(check_scene_size(all.merged, mesh, where));
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kCheckMesh, index, body_count));
   TM_ASSIGN_OR_RETURN(report, mesh::admit(mesh, body.name()));
   std::vector<mesh::EdgeEnds> middle_of;
@@ -120,7 +121,7 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
     }
     mesh = std::move(elevated.mesh);
     middle_of = std::move(elevated.middle_of);
-    TM_RETURN_IF_ERROR(check_scene_size(c, mesh, where));
+    TM_RETURN_IF_ERROR(check_scene_size(all.merged, mesh, where));
     TM_ASSIGN_OR_RETURN(report_of_quadratic, mesh::admit(mesh, body.name()));
     report = std::move(report_of_quadratic);
   }
@@ -129,17 +130,17 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
   }
   TM_ASSIGN_OR_RETURN(density, read_number(body.density_kg_per_m3(), 1e-3, 1e6, where + ".density_kg_per_m3"));
 
-  BodyModel out;
+  ReadBody out;
   out.name = body.name();
-  out.node_begin = static_cast<std::uint32_t>(c.merged.nodes.size());
+  out.node_begin = static_cast<std::uint32_t>(all.merged.nodes.size());
   out.node_count = report.node_count;
-  out.element_begin = mesh::element_count(c.merged);
+  out.element_begin = mesh::element_count(all.merged);
   out.element_count = report.element_count;
   out.component_count = report.component_count;
   out.volume_m3 = report.volume_m3;
   out.mass_kg = report.volume_m3 * density;
   out.min_dihedral_angle_deg = report.min_dihedral_angle_deg;
-  c.model.findings.insert(c.model.findings.end(), report.findings.begin(), report.findings.end());
+  all.findings.insert(all.findings.end(), report.findings.begin(), report.findings.end());
   if (body.has_color_srgb()) {
     const v1::Vector3& color = body.color_srgb();
     for (const double component : {color.x(), color.y(), color.z()}) {
@@ -149,43 +150,47 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
     out.color_srgb = {color.x(), color.y(), color.z()};
   }
 
-  c.merged.nodes.insert(c.merged.nodes.end(), mesh.nodes.begin(), mesh.nodes.end());
+  all.merged.nodes.insert(all.merged.nodes.end(), mesh.nodes.begin(), mesh.nodes.end());
   for (const mesh::ElementBlock& block : mesh.blocks) {
     mesh::ElementBlock shifted = block;
     for (std::uint32_t& node : shifted.nodes) node += out.node_begin;
-    c.merged.blocks.push_back(std::move(shifted));
-    c.block_bodies.push_back(c.bodies.size());
+    all.merged.blocks.push_back(std::move(shifted));
+    all.block_bodies.push_back(index);
   }
-  c.model.bodies.push_back(std::move(out));
 
-  ReadBody read;
-  read.mesh = std::move(mesh);
-  read.middle_of = std::move(middle_of);
-  read.density_kg_per_m3 = density;
-  TM_RETURN_IF_ERROR(read_quadrature(body, read, c.model.findings, where));
-  TM_RETURN_IF_ERROR(read_materials(body, read, where));
-  c.bodies.push_back(std::move(read));
+  out.mesh = std::move(mesh);
+  out.middle_of = std::move(middle_of);
+  out.density_kg_per_m3 = density;
+  TM_RETURN_IF_ERROR(read_quadrature(body, out, all.findings, where));
+  TM_RETURN_IF_ERROR(read_materials(body, out, where));
+  all.bodies.push_back(std::move(out));
   return {};
 }
 
 }  // namespace
 
-Result<void> read_bodies(Compilation& c, const Progress& progress) {
-  if (c.scene.bodies().empty()) return invalid("scene.bodies: a scene needs at least one body");
-  if (static_cast<std::size_t>(c.scene.bodies_size()) > limits::kMaxBodies) {
+const mesh::Surface& BodyBoundaries::of(std::size_t body) {
+  if (!surfaces_[body]) surfaces_[body] = mesh::boundary(bodies_[body].mesh);
+  return *surfaces_[body];
+}
+
+Result<ReadBodies> read_bodies(const v1::Scene& scene, const Progress& progress) {
+  if (scene.bodies().empty()) return invalid("scene.bodies: a scene needs at least one body");
+  if (static_cast<std::size_t>(scene.bodies_size()) > limits::kMaxBodies) {
     return fail(ErrorCode::kResourceExhausted, fmt::format("scene.bodies: {} exceed limits::kMaxBodies = {}",
-                                                           c.scene.bodies_size(), limits::kMaxBodies));
+                                                           scene.bodies_size(), limits::kMaxBodies));
   }
+  ReadBodies all;
   std::set<std::string> names;
-  for (int i = 0; i < c.scene.bodies_size(); ++i) {
-    const v1::Body& body = c.scene.bodies(i);
+  for (int i = 0; i < scene.bodies_size(); ++i) {
+    const v1::Body& body = scene.bodies(i);
     TM_RETURN_IF_ERROR(check_name(body.name(), fmt::format("scene.bodies[{}].name", i)));
     if (!names.insert(body.name()).second) {
       return invalid(fmt::format("scene.bodies[{}]: the name '{}' is taken by another body", i, body.name()));
     }
-    TM_RETURN_IF_ERROR(read_body(c, static_cast<std::size_t>(i), progress));
+    TM_RETURN_IF_ERROR(read_body(scene, progress, all));
   }
-  return {};
+  return all;
 }
 
 }  // namespace tensormass::model

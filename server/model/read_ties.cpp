@@ -9,7 +9,7 @@
 
 #include "core/limits.h"
 #include "core/names.h"
-#include "model/compile_parts.h"
+#include "model/read_parts.h"
 #include "model/scene_input.h"
 #include "tensormass/v1/scene.pb.h"
 
@@ -26,20 +26,21 @@ constexpr double kDefaultDistanceInEdges = 0.1;
 
 class TieReader {
  public:
-  explicit TieReader(Compilation& c) : c_(c) {}
+  TieReader(const v1::Scene& scene, const ReadBodies& all, BodyBoundaries& boundaries)
+      : scene_(scene), all_(all), bodies_(all.bodies), boundaries_(boundaries) {}
 
-  Result<void> read() {
+  Result<ReadTies> read() {
     TM_RETURN_IF_ERROR(
-        check_count(c_.scene.body_contacts_size(), limits::kMaxBodyContacts, "body_contacts", "kMaxBodyContacts"));
+        check_count(scene_.body_contacts_size(), limits::kMaxBodyContacts, "body_contacts", "kMaxBodyContacts"));
     TM_RETURN_IF_ERROR(
-        check_count(c_.scene.attachments_size(), limits::kMaxAttachments, "attachments", "kMaxAttachments"));
-    for (int i = 0; i < c_.scene.body_contacts_size(); ++i) {
-      TM_RETURN_IF_ERROR(read_contact(c_.scene.body_contacts(i), fmt::format("scene.body_contacts[{}]", i)));
+        check_count(scene_.attachments_size(), limits::kMaxAttachments, "attachments", "kMaxAttachments"));
+    for (int i = 0; i < scene_.body_contacts_size(); ++i) {
+      TM_RETURN_IF_ERROR(read_contact(scene_.body_contacts(i), fmt::format("scene.body_contacts[{}]", i)));
     }
-    for (int i = 0; i < c_.scene.attachments_size(); ++i) {
-      TM_RETURN_IF_ERROR(read_attachment(c_.scene.attachments(i), fmt::format("scene.attachments[{}]", i)));
+    for (int i = 0; i < scene_.attachments_size(); ++i) {
+      TM_RETURN_IF_ERROR(read_attachment(scene_.attachments(i), fmt::format("scene.attachments[{}]", i)));
     }
-    return {};
+    return std::move(out_);
   }
 
  private:
@@ -50,10 +51,10 @@ class TieReader {
   }
 
   Result<std::size_t> find_body(const std::string& name, const std::string& where) const {
-    for (std::size_t b = 0; b < c_.model.bodies.size(); ++b) {
-      if (c_.model.bodies[b].name == name) return b;
+    for (std::size_t b = 0; b < bodies_.size(); ++b) {
+      if (bodies_[b].name == name) return b;
     }
-    const std::string known = list_names(c_.model.bodies, [](const BodyModel& body) { return "'" + body.name + "'"; });
+    const std::string known = list_names(bodies_, [](const ReadBody& body) { return "'" + body.name + "'"; });
     return invalid(fmt::format("{}: no body has the name '{}'; the scene has {}", where, name, known));
   }
 
@@ -67,7 +68,7 @@ class TieReader {
     if (!pairs_.insert(std::minmax(body, other)).second) {
       return invalid(fmt::format("{}: an earlier entry names the same two bodies", where));
     }
-    const double edge_m = c_.mean_edge_m(body), other_edge_m = c_.mean_edge_m(other);
+    const double edge_m = boundaries_.mean_edge_m(body), other_edge_m = boundaries_.mean_edge_m(other);
     const double largest_m = std::max(edge_m, other_edge_m);
     BodyContactModel out{body, other, 0, 0, 0, 0, 0};
     TM_ASSIGN_OR_RETURN(distance,
@@ -95,17 +96,16 @@ class TieReader {
     out.distance_m = distance;
     out.friction = friction;
     out.reach_m = reach;
-    c_.model.body_contacts.push_back(out);
+    out_.contacts.push_back(out);
     return {};
   }
 
   /// Returns the nodes of a region, numbered in the scene.
   Result<std::vector<std::uint32_t>> nodes_of(std::size_t body, const v1::Region& region, const std::string& where) {
-    const v1::Body& message = c_.scene.bodies(static_cast<int>(body));
-    TM_ASSIGN_OR_RETURN(
-        sets, read_sets(message, c_.bodies[body].nodes(), fmt::format("body '{}'", c_.model.bodies[body].name)));
-    TM_ASSIGN_OR_RETURN(nodes, read_region(region, c_.bodies[body].nodes(), sets, where));
-    for (std::uint32_t& node : nodes) node += c_.model.bodies[body].node_begin;
+    const v1::Body& message = scene_.bodies(static_cast<int>(body));
+    TM_ASSIGN_OR_RETURN(sets, read_sets(message, bodies_[body].nodes(), fmt::format("body '{}'", bodies_[body].name)));
+    TM_ASSIGN_OR_RETURN(nodes, read_region(region, bodies_[body].nodes(), sets, where));
+    for (std::uint32_t& node : nodes) node += bodies_[body].node_begin;
     return std::move(nodes);
   }
 
@@ -134,7 +134,7 @@ class TieReader {
           force, read_number(attachment.breaking_force_n(), 1e-9, limits::kMaxForceN, where + ".breaking_force_n"));
       out.breaking_force_n = force / count;
     }
-    const auto& x = c_.merged.nodes;
+    const auto& x = all_.merged.nodes;
     for (const std::uint32_t node : nodes) {
       const std::uint32_t nearest =
           *std::min_element(others.begin(), others.end(), [&](std::uint32_t a, std::uint32_t b) {
@@ -142,32 +142,38 @@ class TieReader {
           });
       if (nearest == node) {
         return invalid(fmt::format("{}: node {} of body '{}' is in both regions; a spring needs two nodes", where,
-                                   node - c_.model.bodies[body].node_begin, attachment.body()));
+                                   node - bodies_[body].node_begin, attachment.body()));
       }
       out.springs.push_back({node, nearest});
     }
-    c_.attachments.push_back(std::move(out));
+    out_.attachments.push_back(std::move(out));
     return {};
   }
 
-  Compilation& c_;
+  const v1::Scene& scene_;
+  const ReadBodies& all_;
+  const std::vector<ReadBody>& bodies_;
+  BodyBoundaries& boundaries_;
+  ReadTies out_;
   std::set<std::pair<std::size_t, std::size_t>> pairs_;
   std::set<std::string> names_;
 };
 
 }  // namespace
 
-double Compilation::mean_edge_m(std::size_t body) {
-  const mesh::Surface& of = surface(body);
-  const std::vector<Eigen::Vector3d>& nodes = bodies[body].mesh.nodes;
+double BodyBoundaries::mean_edge_m(std::size_t body) {
+  const mesh::Surface& surface = of(body);
+  const std::vector<Eigen::Vector3d>& nodes = bodies_[body].mesh.nodes;
   double sum_m = 0;
-  for (const mesh::Triangle& triangle : of.triangles) {
+  for (const mesh::Triangle& triangle : surface.triangles) {
     for (std::size_t i = 0; i < 3; ++i)
-      sum_m += (nodes[of.nodes[triangle[i]]] - nodes[of.nodes[triangle[(i + 1) % 3]]]).norm();
+      sum_m += (nodes[surface.nodes[triangle[i]]] - nodes[surface.nodes[triangle[(i + 1) % 3]]]).norm();
   }
-  return sum_m / (3 * static_cast<double>(of.triangles.size()));
+  return sum_m / (3 * static_cast<double>(surface.triangles.size()));
 }
 
-Result<void> read_ties(Compilation& c) { return TieReader(c).read(); }
+Result<ReadTies> read_ties(const v1::Scene& scene, const ReadBodies& bodies, BodyBoundaries& boundaries) {
+  return TieReader(scene, bodies, boundaries).read();
+}
 
 }  // namespace tensormass::model

@@ -10,8 +10,8 @@
 #include "core/finding_kinds.h"
 #include "core/limits.h"
 #include "mesh/admission.h"
-#include "model/compile_parts.h"
 #include "model/distance_field.h"
+#include "model/read_parts.h"
 #include "model/scene_input.h"
 #include "physics/lists.h"
 #include "tensormass/v1/scene.pb.h"
@@ -56,8 +56,8 @@ Result<double> read_field(const Message& kind, std::string_view name, double lea
 /// Returns the second largest of three sizes.
 double middle_of(const Eigen::Vector3d& sizes) { return sizes.sum() - sizes.minCoeff() - sizes.maxCoeff(); }
 
-/// Reads the surface of a sampled solid. Appends to Model::tool_samples.
-Result<void> read_surface(const v1::MeshSolid& message, std::string_view owner, Compilation& c, ToolModel& out) {
+/// Reads the surface of a sampled solid. Appends to the samples and findings of all tools.
+Result<void> read_surface(const v1::MeshSolid& message, std::string_view owner, ReadTools& all, ToolModel& out) {
   const std::string where = fmt::format("{}.mesh", owner);
   TM_ASSIGN_OR_RETURN(surface, read_triangles(message.surface(), where + ".surface"));
   if (surface.triangles.size() > limits::kMaxToolTriangles) {
@@ -69,14 +69,14 @@ Result<void> read_surface(const v1::MeshSolid& message, std::string_view owner, 
   for (Finding& finding : report.findings) {
     finding.place = where + ".surface";
     finding.tool = out.name;
-    c.model.findings.push_back(std::move(finding));
+    all.findings.push_back(std::move(finding));
   }
   TM_ASSIGN_OR_RETURN(scale, read_number(message.has_scale() ? message.scale() : 1, 1e-9, 1e9, where + ".scale"));
   for (Eigen::Vector3d& vertex : surface.vertices) vertex *= scale;
   TM_ASSIGN_OR_RETURN(field, sample_distance(surface.vertices, surface.triangles, where + ".surface"));
   const double thickness_m = field.box.sizes().minCoeff(), cube_m = field.box.sizes().maxCoeff() / kDistanceCubes;
   if (thickness_m < thresholds::kThinToolCubes * cube_m) {
-    c.model.findings.push_back(
+    all.findings.push_back(
         {.code = FindingCode::kThinTool,
          .value = thickness_m / cube_m,
          .limit = thresholds::kThinToolCubes,
@@ -89,22 +89,27 @@ Result<void> read_surface(const v1::MeshSolid& message, std::string_view owner, 
   out.parameters[0] = thickness_m / 2;
   out.parameters[1] = field.reach_m;
   out.width_m = middle_of(field.box.sizes());
-  out.first_sample = c.model.tool_samples.size();
-  c.model.tool_samples.insert(c.model.tool_samples.end(), field.samples.begin(), field.samples.end());
+  out.first_sample = all.samples.size();
+  all.samples.insert(all.samples.end(), field.samples.begin(), field.samples.end());
   return {};
 }
 
-/// Returns the diagonal of the box around all bodies at rest [m].
-double size_of(const Compilation& c) {
+/// Returns the diagonal of the box around all nodes [m].
+double size_of(std::span<const Eigen::Vector3d> nodes) {
   Eigen::AlignedBox3d box;
-  for (const Eigen::Vector3d& node : c.merged.nodes) box.extend(node);
+  for (const Eigen::Vector3d& node : nodes) box.extend(node);
   return box.diagonal().norm();
 }
 
 /// Reads what the message of a kind says about the shape.
-/// kind: message of Kind. owner: the tool, for messages.
+///
+///   kind    message of Kind
+///   owner   the tool, for messages
+///   nodes   as in read_tools
+///   all     the tools before this one; gets the samples of a sampled solid
 template <class Kind>
-Result<void> read_shape(const Message& kind, std::string_view owner, Compilation& c, ToolModel& out) {
+Result<void> read_shape(const Message& kind, std::string_view owner, std::span<const Eigen::Vector3d> nodes,
+                        ReadTools& all, ToolModel& out) {
   const std::string where = fmt::format("{}.{}", owner, Kind::kName);
   out.core_points = Kind::kCorePoints;
   out.contact_points = Kind::kContactPoints;
@@ -119,7 +124,7 @@ Result<void> read_shape(const Message& kind, std::string_view owner, Compilation
         read_number(out.parameters[3], 0, Kind::length_m(out.parameters), fmt::format("{}.edge_radius_m", where)));
   }
   if constexpr (std::is_same_v<Kind, physics::MeshSolid>) {
-    TM_RETURN_IF_ERROR(read_surface(dynamic_cast<const v1::MeshSolid&>(kind), owner, c, out));
+    TM_RETURN_IF_ERROR(read_surface(dynamic_cast<const v1::MeshSolid&>(kind), owner, all, out));
   }
   if constexpr (Kind::kIsSolid) {
     out.radius_m = Kind::length_m(out.parameters);
@@ -128,7 +133,7 @@ Result<void> read_shape(const Message& kind, std::string_view owner, Compilation
     if constexpr (std::is_same_v<Kind, physics::BoxSolid>) {
       out.width_m = middle_of({out.parameters[0], out.parameters[1], out.parameters[2]});
     }
-    if (!(out.radius_m > 0)) out.radius_m = kPlaneRadiusInScenes * size_of(c);
+    if (!(out.radius_m > 0)) out.radius_m = kPlaneRadiusInScenes * size_of(nodes);
   } else {
     TM_ASSIGN_OR_RETURN(radius, read_field(kind, "radius_m", 1e-6, 1e3, where));
     out.radius_m = radius;
@@ -192,7 +197,8 @@ Result<void> read_largest_loads(const v1::Tool& tool, const std::string& where, 
   return {};
 }
 
-Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool) {
+/// all: the tools before this one. The others: as in read_tools.
+Result<ToolModel> read_tool(const v1::Tool& tool, std::span<const Eigen::Vector3d> nodes, double dt_s, ReadTools& all) {
   const std::string where = fmt::format("tool '{}'", tool.name());
   const auto* field =
       tool.GetReflection()->GetOneofFieldDescriptor(tool, tool.GetDescriptor()->FindOneofByName("kind"));
@@ -207,16 +213,16 @@ Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool) {
     known += fmt::format("{}{}", known.empty() ? "" : ", ", Kind::kName);
     if (field == nullptr || field->name() != Kind::kName) return;
     out.kind = static_cast<std::uint32_t>(index);
-    shape = read_shape<Kind>(tool.GetReflection()->GetMessage(tool, field), where, c, out);
+    shape = read_shape<Kind>(tool.GetReflection()->GetMessage(tool, field), where, nodes, all, out);
   });
   if (!shape) return invalid(fmt::format("{}: no kind that this server knows; give one of {}", where, known));
   TM_RETURN_IF_ERROR(*shape);
-  const double safe_speed = std::min(kDefaultMaxSpeedMPerS, kMaxRadiiPerStep * out.radius_m / c.model.dt_s);
+  const double safe_speed = std::min(kDefaultMaxSpeedMPerS, kMaxRadiiPerStep * out.radius_m / dt_s);
   TM_ASSIGN_OR_RETURN(speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : safe_speed, 1e-6,
                                          1e3, where + ".max_speed_m_per_s"));
   out.max_speed_m_per_s = speed;
   // A step is linearized once. Its contact may harden only as far as the tool cannot cross what is left in two steps.
-  const double left = 2 * speed * c.model.dt_s / (out.radius_m * (1 - physics::kHardeningBegins));
+  const double left = 2 * speed * dt_s / (out.radius_m * (1 - physics::kHardeningBegins));
   out.steepest = std::clamp(1 - left, 0.0, kSteepestContact);
   TM_ASSIGN_OR_RETURN(
       friction, read_number(tool.friction_coefficient(), 0, limits::kMaxFriction, where + ".friction_coefficient"));
@@ -239,24 +245,28 @@ Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool) {
 
 }  // namespace
 
-Result<void> read_tools(Compilation& c) {
-  if (static_cast<std::size_t>(c.scene.tools_size()) > limits::kMaxTools) {
+Result<ReadTools> read_tools(const v1::Scene& scene, std::span<const Eigen::Vector3d> nodes, double dt_s) {
+  if (static_cast<std::size_t>(scene.tools_size()) > limits::kMaxTools) {
     return fail(ErrorCode::kResourceExhausted,
-                fmt::format("scene.tools: {} exceed limits::kMaxTools = {}", c.scene.tools_size(), limits::kMaxTools));
+                fmt::format("scene.tools: {} exceed limits::kMaxTools = {}", scene.tools_size(), limits::kMaxTools));
   }
+  ReadTools all;
+  std::uint32_t core_points = 0, contact_points = 0;
   std::set<std::string> names;
-  for (int i = 0; i < c.scene.tools_size(); ++i) {
-    const v1::Tool& tool = c.scene.tools(i);
+  for (int i = 0; i < scene.tools_size(); ++i) {
+    const v1::Tool& tool = scene.tools(i);
     TM_RETURN_IF_ERROR(check_name(tool.name(), fmt::format("scene.tools[{}].name", i)));
     if (!names.insert(tool.name()).second) {
       return invalid(fmt::format("scene.tools[{}]: the name '{}' is taken by another tool", i, tool.name()));
     }
-    TM_ASSIGN_OR_RETURN(out, read_tool(c, tool));
-    out.first_core_point = c.model.core_points();
-    out.first_contact_point = c.model.contact_points();
-    c.model.tools.push_back(std::move(out));
+    TM_ASSIGN_OR_RETURN(out, read_tool(tool, nodes, dt_s, all));
+    out.first_core_point = core_points;
+    out.first_contact_point = contact_points;
+    core_points += out.core_points;
+    contact_points += out.contact_points;
+    all.tools.push_back(std::move(out));
   }
-  return {};
+  return all;
 }
 
 }  // namespace tensormass::model

@@ -6,7 +6,7 @@
 #include "physics/element/element.h"
 #include "tensormass/v1/scene.pb.h"
 
-/// Fills the vectors that have an entry for each row: rest positions, masses and damping.
+/// Makes the vectors that have an entry for each row: rest positions, masses and damping.
 ///
 ///   rest     [row] X, Y, Z, bits of the free directions: 7, until boundary conditions fix some
 ///   inertia  [row] m_kk, α, β, √(ρ_max / ρ); the last is 1 if ties couple bodies; quasi-static scenes: 0, 0, 0, 1
@@ -18,69 +18,78 @@
 ///   ρ      density of the body; ρ_max that of the densest body [kg/m³]
 namespace tensormass::model {
 
-Result<void> fill_row_fields(Compilation& c) {
-  const matrix::Layout& layout = c.model.layout;
+Result<std::vector<Damping>> read_damping(const v1::Scene& scene) {
+  std::vector<Damping> all;
+  for (const v1::Body& body : scene.bodies()) {
+    const std::string where = "body '" + body.name() + "'";
+    TM_ASSIGN_OR_RETURN(alpha, read_number(body.rayleigh_mass_per_s(), 0, 1e9, where + ".rayleigh_mass_per_s"));
+    TM_ASSIGN_OR_RETURN(beta, read_number(body.rayleigh_stiffness_s(), 0, 1e9, where + ".rayleigh_stiffness_s"));
+    all.push_back({alpha, beta});
+  }
+  return all;
+}
+
+RowFields make_row_fields(const ReadBodies& all, std::span<const Damping> damping, const ReadTies& ties,
+                          const Settings& settings, const matrix::Layout& layout) {
+  const std::vector<ReadBody>& bodies = all.bodies;
   const std::size_t rows = layout.row_count;
-  const bool inertia = !c.model.quasi_static();
-  c.model.rest.assign(4 * rows, 0);
-  c.model.inertia.assign(4 * rows, 0);
-  c.model.row_mass.assign(rows, 0);
-  for (std::size_t row = 0; row < rows; ++row) c.model.inertia[4 * row + 3] = 1;  // gap rows too: stages divide by it
-  Vec3<double> low = c.merged.nodes.front(), high = low;
-  for (const auto& node : c.merged.nodes) {
+  const bool inertia = !settings.quasi_static();
+  RowFields out;
+  out.rest.assign(4 * rows, 0);
+  out.inertia.assign(4 * rows, 0);
+  out.row_mass.assign(rows, 0);
+  for (std::size_t row = 0; row < rows; ++row) out.inertia[4 * row + 3] = 1;  // gap rows too: stages divide by it
+  Vec3<double> low = all.merged.nodes.front(), high = low;
+  for (const auto& node : all.merged.nodes) {
     low = low.cwiseMin(node);
     high = high.cwiseMax(node);
   }
-  c.model.size_m = (high - low).norm();
+  out.size_m = (high - low).norm();
   double densest = 0;
-  for (const ReadBody& body : c.bodies) densest = std::max(densest, body.density_kg_per_m3);
+  for (const ReadBody& body : bodies) densest = std::max(densest, body.density_kg_per_m3);
   bool consistent = false;
-  for (std::size_t b = 0; b < c.bodies.size(); ++b) {
-    const v1::Body& body = c.scene.bodies(static_cast<int>(b));
-    const BodyModel& out = c.model.bodies[b];
-    TM_ASSIGN_OR_RETURN(alpha,
-                        read_number(body.rayleigh_mass_per_s(), 0, 1e9, "body '" + out.name + "'.rayleigh_mass_per_s"));
-    TM_ASSIGN_OR_RETURN(
-        beta, read_number(body.rayleigh_stiffness_s(), 0, 1e9, "body '" + out.name + "'.rayleigh_stiffness_s"));
-    consistent = consistent || (c.bodies[b].consistent_mass && inertia);
-    for (std::uint32_t node = 0; node < out.node_count; ++node) {
-      const std::size_t row = layout.row_of_node[out.node_begin + node];
+  for (std::size_t b = 0; b < bodies.size(); ++b) {
+    const ReadBody& body = bodies[b];
+    consistent = consistent || (body.consistent_mass && inertia);
+    for (std::uint32_t node = 0; node < body.node_count; ++node) {
+      const std::size_t row = layout.row_of_node[body.node_begin + node];
       for (std::size_t i = 0; i < 3; ++i)
-        c.model.rest[4 * row + i] = c.merged.nodes[out.node_begin + node][static_cast<Eigen::Index>(i)];
-      c.model.rest[4 * row + 3] = 7;  // all directions are free
+        out.rest[4 * row + i] = all.merged.nodes[body.node_begin + node][static_cast<Eigen::Index>(i)];
+      out.rest[4 * row + 3] = 7;  // all directions are free
       if (!inertia) continue;
-      c.model.inertia[4 * row + 1] = alpha;
-      c.model.inertia[4 * row + 2] = beta;
-      if (!c.has_ties()) c.model.inertia[4 * row + 3] = std::sqrt(densest / c.bodies[b].density_kg_per_m3);
+      out.inertia[4 * row + 1] = damping[b].mass_per_s;
+      out.inertia[4 * row + 2] = damping[b].stiffness_s;
+      if (ties.empty()) out.inertia[4 * row + 3] = std::sqrt(densest / body.density_kg_per_m3);
     }
   }
-  if (consistent) c.model.mass_edges.assign(layout.slot_count(), 0);
+  if (consistent) out.mass_edges.assign(layout.slot_count(), 0);
 
-  for_each_element(c, [&](auto tag, std::size_t b, std::uint32_t, std::span<const std::uint32_t> nodes, const auto& x) {
-    using Shape = typename decltype(tag)::Type;
-    const double density = c.bodies[b].density_kg_per_m3;
-    const auto row = [&](int k) { return std::size_t{layout.row_of_node[nodes[static_cast<std::size_t>(k)]]}; };
-    if (!c.bodies[b].consistent_mass) {
-      const auto volumes = physics::lumped_volumes<Shape>(x);
-      for (int k = 0; k < Shape::kNodes; ++k) {
-        const double mass = density * volumes[static_cast<std::size_t>(k)];
-        c.model.row_mass[row(k)] += mass;
-        if (inertia) c.model.inertia[4 * row(k)] += mass;
-      }
-      return;
-    }
-    const auto integrals = physics::mass_integrals<Shape>(x);
-    for (int k = 0; k < Shape::kNodes; ++k) {
-      c.model.row_mass[row(k)] += density * integrals.row(k).sum();
-      if (!inertia) continue;
-      c.model.inertia[4 * row(k)] += density * integrals(k, k);
-      for (int l = k + 1; l < Shape::kNodes; ++l) {
-        layout.for_each_place(static_cast<std::uint32_t>(row(k)), static_cast<std::uint32_t>(row(l)),
-                              [&](std::uint32_t slot, bool) { c.model.mass_edges[slot] += density * integrals(k, l); });
-      }
-    }
-  });
-  return {};
+  for_each_element(
+      all, [&](auto tag, std::size_t b, std::uint32_t, std::span<const std::uint32_t> nodes, const auto& x) {
+        using Shape = typename decltype(tag)::Type;
+        const double density = bodies[b].density_kg_per_m3;
+        const auto row = [&](int k) { return std::size_t{layout.row_of_node[nodes[static_cast<std::size_t>(k)]]}; };
+        if (!bodies[b].consistent_mass) {
+          const auto volumes = physics::lumped_volumes<Shape>(x);
+          for (int k = 0; k < Shape::kNodes; ++k) {
+            const double mass = density * volumes[static_cast<std::size_t>(k)];
+            out.row_mass[row(k)] += mass;
+            if (inertia) out.inertia[4 * row(k)] += mass;
+          }
+          return;
+        }
+        const auto integrals = physics::mass_integrals<Shape>(x);
+        for (int k = 0; k < Shape::kNodes; ++k) {
+          out.row_mass[row(k)] += density * integrals.row(k).sum();
+          if (!inertia) continue;
+          out.inertia[4 * row(k)] += density * integrals(k, k);
+          for (int l = k + 1; l < Shape::kNodes; ++l) {
+            layout.for_each_place(static_cast<std::uint32_t>(row(k)), static_cast<std::uint32_t>(row(l)),
+                                  [&](std::uint32_t slot, bool) { out.mass_edges[slot] += density * integrals(k, l); });
+          }
+        }
+      });
+  return out;
 }
 
 }  // namespace tensormass::model

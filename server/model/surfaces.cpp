@@ -18,31 +18,20 @@ namespace tensormass::model {
 
 namespace {
 
-/// Stores the moduli behind a triangle of the contact surface. element: the one behind it.
-void add_moduli(Compilation& c, std::uint32_t element) {
-  const std::size_t b = c.model.body_of_element(element);
-  BodyModel& body = c.model.bodies[b];
-  const Material& material = c.bodies[b].material(element - body.element_begin);
+/// Adds the moduli behind a triangle of the contact surface. element: the one behind it.
+void add_moduli(std::span<const ReadBody> bodies, std::uint32_t element, ContactSurface& out) {
+  const ReadBody& body = bodies[body_of_element(bodies, element)];
+  const Material& material = body.material(element - body.element_begin);
   const double young_pa = material.young_modulus_pa, poisson = material.poisson_ratio;
-  c.model.contact.triangle_moduli.push_back(young_pa);
-  c.model.contact.triangle_moduli.push_back(young_pa / (1 - poisson * poisson));
-  const bool is_first = !(body.most_surface_modulus_pa > 0);
-  body.least_surface_modulus_pa = is_first ? young_pa : std::min(body.least_surface_modulus_pa, young_pa);
-  body.most_surface_modulus_pa = std::max(body.most_surface_modulus_pa, young_pa);
+  out.triangle_moduli.push_back(young_pa);
+  out.triangle_moduli.push_back(young_pa / (1 - poisson * poisson));
 }
 
 }  // namespace
 
-const mesh::Surface& Compilation::surface(std::size_t body) {
-  surfaces.resize(bodies.size());
-  if (!surfaces[body]) surfaces[body] = mesh::boundary(bodies[body].mesh);
-  return *surfaces[body];
-}
-
-void make_contact_surface(Compilation& c) {
-  const matrix::Layout& layout = c.model.layout;
-  const mesh::Surface surface = mesh::boundary(c.merged);
-  ContactSurface& out = c.model.contact;
+ContactSurface make_contact_surface(const ReadBodies& bodies, const matrix::Layout& layout) {
+  const mesh::Surface surface = mesh::boundary(bodies.merged);
+  ContactSurface out;
   const auto row_of = [&](std::uint32_t vertex) { return layout.row_of_node[surface.nodes[vertex]]; };
 
   // Sorts surface vertices by row, which groups them by patch.
@@ -67,10 +56,10 @@ void make_contact_surface(Compilation& c) {
       out.vertex_of_corner.push_back(place[corners[i]]);
       const std::uint32_t neighbour = surface.neighbours[triangle][i];
       out.triangle_neighbours.push_back(neighbour == mesh::kNone ? view::kNoTriangle : triangle_place[neighbour]);
-      x[i] = c.merged.nodes[surface.nodes[corners[i]]];
+      x[i] = bodies.merged.nodes[surface.nodes[corners[i]]];
     }
     out.triangle_area.push_back(0.5 * (x[1] - x[0]).cross(x[2] - x[0]).norm());
-    add_moduli(c, surface.triangle_elements[triangle]);
+    add_moduli(bodies.bodies, surface.triangle_elements[triangle], out);
     ++out.patch_triangles[layout.patch_of_row(row_of(corners[0])) + 1];
   }
   std::partial_sum(out.patch_triangles.begin(), out.patch_triangles.end(), out.patch_triangles.begin());
@@ -93,66 +82,85 @@ void make_contact_surface(Compilation& c) {
     out.incidence_begin.push_back(static_cast<std::uint32_t>(out.incidence.size() / 4));
   }
   std::partial_sum(out.patch_surface.begin(), out.patch_surface.end(), out.patch_surface.begin());
+  return out;
 }
 
-Result<void> make_visible_surface(Compilation& c) {
-  for (std::size_t b = 0; b < c.bodies.size(); ++b) {
-    BodyModel& body = c.model.bodies[b];
-    const v1::Body& source = c.scene.bodies(static_cast<int>(b));
-    body.vertex_begin = c.model.visible.count();
-    const std::string where = fmt::format("body '{}'", body.name);
+std::vector<SurfaceModuli> moduli_of_surfaces(std::span<const ReadBody> bodies, const matrix::Layout& layout,
+                                              const ContactSurface& contact) {
+  std::vector<SurfaceModuli> out(bodies.size());
+  for (std::size_t t = 0; t < contact.triangle_count(); ++t) {
+    SurfaceModuli& body = out[body_of_node(bodies, layout.node_of_row[contact.triangle_rows[3 * t]])];
+    const double young_pa = contact.triangle_moduli[2 * t];
+    const bool is_first = !(body.most_surface_modulus_pa > 0);
+    body.least_surface_modulus_pa = is_first ? young_pa : std::min(body.least_surface_modulus_pa, young_pa);
+    body.most_surface_modulus_pa = std::max(body.most_surface_modulus_pa, young_pa);
+  }
+  return out;
+}
+
+Result<VisibleBodies> make_visible_surface(const v1::Scene& scene, const ReadBodies& bodies, BodyBoundaries& boundaries,
+                                           const matrix::Layout& layout) {
+  VisibleBodies out;
+  VisibleSurface& visible = out.surface;
+  for (std::size_t b = 0; b < bodies.bodies.size(); ++b) {
+    const ReadBody& read = bodies.bodies[b];
+    const v1::Body& source = scene.bodies(static_cast<int>(b));
+    VisibleBody& body = out.bodies.emplace_back();
+    body.vertex_begin = visible.count();
+    const std::string where = fmt::format("body '{}'", read.name);
     const auto add = [&](const std::array<std::uint32_t, 4>& nodes, const std::array<double, 4>& weights) {
       for (std::size_t i = 0; i < 4; ++i) {
-        c.model.visible.rows.push_back(c.model.layout.row_of_node[body.node_begin + nodes[i]]);
-        c.model.visible.weights.push_back(weights[i]);
+        visible.rows.push_back(layout.row_of_node[read.node_begin + nodes[i]]);
+        visible.weights.push_back(weights[i]);
       }
     };
     if (source.has_skin()) {
       TM_ASSIGN_OR_RETURN(skin, read_skin(source, where));
       TM_ASSIGN_OR_RETURN(report, mesh::admit_skin(skin.vertices, skin.triangles, where));
       for (Finding& finding : report.findings) {
-        finding.body = body.name;
-        c.model.findings.push_back(std::move(finding));
+        finding.body = read.name;
+        out.findings.push_back(std::move(finding));
       }
-      TM_ASSIGN_OR_RETURN(embedding,
-                          mesh::embed(c.bodies[b].mesh, skin.vertices, fmt::format("the skin of {}", where)));
+      TM_ASSIGN_OR_RETURN(embedding, mesh::embed(read.mesh, skin.vertices, fmt::format("the skin of {}", where)));
       for (std::size_t i = 0; i < skin.vertices.size(); ++i) add(embedding.nodes[i], embedding.weights[i]);
       body.triangles = std::move(skin.triangles);
       body.has_skin = true;
     } else {
-      const mesh::Surface& surface = c.surface(b);
+      const mesh::Surface& surface = boundaries.of(b);
       for (const std::uint32_t node : surface.nodes) add({node, node, node, node}, {1, 0, 0, 0});
       body.triangles = surface.triangles;
       body.vertex_nodes = surface.nodes;
     }
-    body.vertex_count = c.model.visible.count() - body.vertex_begin;
+    body.vertex_count = visible.count() - body.vertex_begin;
     TM_ASSIGN_OR_RETURN(texture, read_texture(source, body.triangles.size(), where));
     body.texture = std::move(texture);
   }
-  c.model.visible.vertex_count = c.model.visible.count();
-  return {};
+  visible.vertex_count = visible.count();
+  return out;
 }
 
-void make_visible_attachments(Compilation& c) {
-  VisibleSurface& visible = c.model.visible;
+VisibleSprings make_visible_springs(std::span<const ReadAttachment> attachments, std::span<const Eigen::Vector3d> nodes,
+                                    const matrix::Layout& layout) {
+  VisibleSprings all;
   std::map<std::uint32_t, std::uint32_t> points;  // by node of the scene
   const auto point_of = [&](std::uint32_t node) {
-    const auto [point, is_new] = points.emplace(node, visible.attachment_point_count());
+    const auto [point, is_new] = points.emplace(node, static_cast<std::uint32_t>(points.size()));
     if (is_new) {
-      visible.rows.insert(visible.rows.end(), 4, c.model.layout.row_of_node[node]);
-      visible.weights.insert(visible.weights.end(), {1, 0, 0, 0});
+      all.rows.insert(all.rows.end(), 4, layout.row_of_node[node]);
+      all.weights.insert(all.weights.end(), {1, 0, 0, 0});
     }
     return point->second;
   };
-  for (const ReadAttachment& attachment : c.attachments) {
+  for (const ReadAttachment& attachment : attachments) {
     VisibleAttachment out{attachment.name, {}, {}, attachment.stiffness_n_per_m, attachment.breaking_force_n};
     for (const auto& [node, other] : attachment.springs) {
       const std::uint32_t first = point_of(node), second = point_of(other);
       out.springs.push_back({first, second});
-      out.rest_lengths_m.push_back(static_cast<float>((c.merged.nodes[node] - c.merged.nodes[other]).norm()));
+      out.rest_lengths_m.push_back(static_cast<float>((nodes[node] - nodes[other]).norm()));
     }
-    c.model.attachments.push_back(std::move(out));
+    all.attachments.push_back(std::move(out));
   }
+  return all;
 }
 
 }  // namespace tensormass::model

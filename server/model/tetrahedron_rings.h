@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "model/compile_parts.h"
+#include "model/read_parts.h"
 
 /// Which linear tetrahedra form a cluster (clusters.h): those around an edge.
 ///

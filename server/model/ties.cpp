@@ -2,6 +2,7 @@
 #include <array>
 #include <map>
 #include <numeric>
+#include <utility>
 
 #include "mesh/partition.h"
 #include "model/compile_parts.h"
@@ -13,12 +14,12 @@ namespace {
 
 class TieMaker {
  public:
-  explicit TieMaker(Compilation& c) : c_(c), layout_(c.model.layout), out_(c.model.ties) {}
+  explicit TieMaker(const TieInput& input) : in_(input), layout_(input.layout) {}
 
-  void make() {
-    if (!c_.model.body_contacts.empty()) {
+  Ties make() {
+    if (!in_.ties.contacts.empty()) {
       find_surfaces();
-      for (const BodyContactModel& contact : c_.model.body_contacts) {
+      for (const BodyContactModel& contact : in_.ties.contacts) {
         add_side(contact, contact.body, contact.other);
         if (contact.body != contact.other) add_side(contact, contact.other, contact.body);
       }
@@ -26,6 +27,7 @@ class TieMaker {
     }
     store_springs();
     store_rows();
+    return std::move(out_);
   }
 
  private:
@@ -42,12 +44,12 @@ class TieMaker {
     std::array<std::uint32_t, 2> groups{0, 0};       ///< groups of boxes
   };
 
-  std::size_t body_of_row(std::uint32_t row) const { return c_.model.body_of_node(layout_.node_of_row[row]); }
+  std::size_t body_of_row(std::uint32_t row) const { return body_of_node(in_.bodies.bodies, layout_.node_of_row[row]); }
 
   /// Divides the contact surface among the bodies, and puts boxes around the triangles of those that are touched.
   void find_surfaces() {
-    const ContactSurface& contact = c_.model.contact;
-    surfaces_.resize(c_.model.bodies.size());
+    const ContactSurface& contact = in_.contact;
+    surfaces_.resize(in_.bodies.bodies.size());
     vertex_area_.assign(contact.surface_rows.size(), 0);
     vertex_modulus_.assign(contact.surface_rows.size(), 0);
     for (std::uint32_t v = 0; v < contact.surface_rows.size(); ++v) {
@@ -61,7 +63,7 @@ class TieMaker {
         vertex_modulus_[vertex] += contact.triangle_area[t] / 3 * contact.triangle_moduli[2 * std::size_t{t}];
       }
     }
-    for (const BodyContactModel& pair : c_.model.body_contacts) {
+    for (const BodyContactModel& pair : in_.ties.contacts) {
       for (const std::size_t body : {pair.body, pair.other}) {
         if (surfaces_[body].groups[1] == 0) add_boxes(surfaces_[body]);
       }
@@ -69,12 +71,12 @@ class TieMaker {
   }
 
   void add_boxes(Surface& surface) {
-    const ContactSurface& contact = c_.model.contact;
+    const ContactSurface& contact = in_.contact;
     std::vector<Eigen::Vector3d> centers;
     for (const std::uint32_t triangle : surface.triangles) {
       Eigen::Vector3d sum = Eigen::Vector3d::Zero();
       for (std::size_t i = 0; i < 3; ++i) {
-        sum += c_.merged.nodes[layout_.node_of_row[contact.triangle_rows[3 * std::size_t{triangle} + i]]];
+        sum += in_.bodies.merged.nodes[layout_.node_of_row[contact.triangle_rows[3 * std::size_t{triangle} + i]]];
       }
       centers.push_back(sum / 3);
     }
@@ -101,7 +103,7 @@ class TieMaker {
     numbers[view::kSideFriction] = contact.friction;
     out_.side_numbers.insert(out_.side_numbers.end(), numbers.begin(), numbers.end());
     for (const std::uint32_t vertex : surfaces_[of_nodes].vertices) {
-      candidates_.push_back({c_.model.contact.surface_rows[vertex], vertex, side, vertex_area_[vertex] / 2,
+      candidates_.push_back({in_.contact.surface_rows[vertex], vertex, side, vertex_area_[vertex] / 2,
                              vertex_modulus_[vertex] / vertex_area_[vertex]});
     }
   }
@@ -127,9 +129,9 @@ class TieMaker {
 
   void store_springs() {
     std::vector<Spring> springs;
-    for (const ReadAttachment& attachment : c_.attachments) {
+    for (const ReadAttachment& attachment : in_.ties.attachments) {
       for (const auto& [node, other] : attachment.springs) {
-        const double length_m = (c_.merged.nodes[node] - c_.merged.nodes[other]).norm();
+        const double length_m = (in_.bodies.merged.nodes[node] - in_.bodies.merged.nodes[other]).norm();
         springs.push_back({layout_.row_of_node[node],
                            layout_.row_of_node[other],
                            static_cast<std::uint32_t>(springs.size()),
@@ -148,9 +150,9 @@ class TieMaker {
 
   void store_rows() {
     std::vector<bool> tied(layout_.row_count, false);
-    for (const BodyContactModel& pair : c_.model.body_contacts) {
+    for (const BodyContactModel& pair : in_.ties.contacts) {
       for (const std::size_t body : {pair.body, pair.other}) {
-        for (const std::uint32_t vertex : surfaces_[body].vertices) tied[c_.model.contact.surface_rows[vertex]] = true;
+        for (const std::uint32_t vertex : surfaces_[body].vertices) tied[in_.contact.surface_rows[vertex]] = true;
       }
     }
     for (const std::uint32_t row : out_.spring_rows) tied[row] = true;
@@ -166,9 +168,9 @@ class TieMaker {
     std::partial_sum(out_.patch_rows.begin(), out_.patch_rows.end(), out_.patch_rows.begin());
   }
 
-  Compilation& c_;
+  const TieInput& in_;
   const matrix::Layout& layout_;
-  Ties& out_;
+  Ties out_;
   std::vector<Surface> surfaces_;       // [body]
   std::vector<double> vertex_area_;     // [surface vertex]
   std::vector<double> vertex_modulus_;  // [surface vertex] E times area, summed
@@ -177,6 +179,6 @@ class TieMaker {
 
 }  // namespace
 
-void make_ties(Compilation& c) { TieMaker(c).make(); }
+Ties make_ties(const TieInput& input) { return TieMaker(input).make(); }
 
 }  // namespace tensormass::model

@@ -7,7 +7,6 @@
 
 #include "core/finding_kinds.h"
 #include "model/compile_parts.h"
-#include "tensormass/v1/scene.pb.h"
 
 /// Finds tools that start inside tissue, that are smaller than the triangles which they touch, and that a free body
 /// passes within a step.
@@ -30,7 +29,7 @@ struct StartSurface {
   std::vector<std::array<std::uint32_t, 3>> triangles;
   std::vector<std::size_t> bodies;  ///< by triangle
 
-  explicit StartSurface(const Model& m) {
+  explicit StartSurface(const ToolMistakeInput& m) {
     const auto at_start = [&](std::size_t row) {
       Point x;
       for (std::size_t c = 0; c < 3; ++c) {
@@ -43,12 +42,12 @@ struct StartSurface {
     for (std::size_t t = 0; t < m.contact.triangle_count(); ++t) {
       const std::uint32_t* corners = &m.contact.vertex_of_corner[3 * t];
       triangles.push_back({corners[0], corners[1], corners[2]});
-      bodies.push_back(m.body_of_node(m.layout.node_of_row[m.contact.triangle_rows[3 * t]]));
+      bodies.push_back(body_of_node(m.bodies, m.layout.node_of_row[m.contact.triangle_rows[3 * t]]));
     }
   }
 };
 
-physics::PlacedTool<double> at_start(const Model& m, const ToolModel& tool) {
+physics::PlacedTool<double> at_start(const ToolMistakeInput& m, const ToolModel& tool) {
   physics::Pose shape = tool.initial_pose;
   shape.position_m += physics::rotation(shape) * tool.tip_offset_m;
   physics::PlacedTool<double> placed = tool.placed<double>(shape, shape);
@@ -124,13 +123,14 @@ Start tissue_in(const physics::PlacedTool<double>& tool, const StartSurface& sur
   return out;
 }
 
-void find_tool_inside(const StartSurface& surface, const ToolModel& tool, Model& m) {
+void find_tool_inside(const ToolMistakeInput& m, const StartSurface& surface, const ToolModel& tool,
+                      std::vector<Finding>& findings) {
   with_kind(tool, [&](auto tag) {
     const Start start = tissue_in<typename decltype(tag)::Type>(at_start(m, tool), surface, m.bodies.size());
     const double value = std::max(start.depth_m / tool.radius_m, start.encloses ? 1.0 : 0.0);
     if (!(value > thresholds::kStartDepthInRadii)) return;
     const std::string& body = m.bodies[start.body].name;
-    m.findings.push_back(
+    findings.push_back(
         {.code = FindingCode::kToolInsideTissue,
          .value = value,
          .limit = thresholds::kStartDepthInRadii,
@@ -148,7 +148,7 @@ void find_tool_inside(const StartSurface& surface, const ToolModel& tool, Model&
 }
 
 /// The triangles of each body by size.
-void find_coarse_surfaces(const StartSurface& surface, Model& m) {
+void find_coarse_surfaces(const ToolMistakeInput& m, const StartSurface& surface, std::vector<Finding>& findings) {
   struct Triangle {
     double edge_m, area_m2;
   };
@@ -168,17 +168,17 @@ void find_coarse_surfaces(const StartSurface& surface, Model& m) {
     }
     for (const ToolModel& tool : m.tools) {
       if (!(edge_m > thresholds::kCoarseEdge * tool.width_m)) continue;
-      m.findings.push_back({.code = FindingCode::kCoarseSurface,
-                            .value = edge_m / tool.width_m,
-                            .limit = thresholds::kCoarseEdge,
-                            .place = fmt::format("body '{}'.mesh", m.bodies[b].name),
-                            .body = m.bodies[b].name,
-                            .tool = tool.name,
-                            .message = fmt::format(
-                                "body '{}': half of its surface has triangles of more than {:.3g} mm, and tool '{}' is "
-                                "{:.3g} mm wide, so the force at one depth depends on where it lies between the nodes",
-                                m.bodies[b].name, 1e3 * edge_m, tool.name, 1e3 * tool.width_m),
-                            .remedy = "take a finer mesh where the tool touches it, or a wider tool"});
+      findings.push_back({.code = FindingCode::kCoarseSurface,
+                          .value = edge_m / tool.width_m,
+                          .limit = thresholds::kCoarseEdge,
+                          .place = fmt::format("body '{}'.mesh", m.bodies[b].name),
+                          .body = m.bodies[b].name,
+                          .tool = tool.name,
+                          .message = fmt::format(
+                              "body '{}': half of its surface has triangles of more than {:.3g} mm, and tool '{}' is "
+                              "{:.3g} mm wide, so the force at one depth depends on where it lies between the nodes",
+                              m.bodies[b].name, 1e3 * edge_m, tool.name, 1e3 * tool.width_m),
+                          .remedy = "take a finer mesh where the tool touches it, or a wider tool"});
     }
   }
 }
@@ -211,7 +211,8 @@ struct Fall {
   }
 };
 
-void find_passed_tool(const Fall& fall, std::size_t b, const std::vector<Point>& points, Model& m) {
+void find_passed_tool(const ToolMistakeInput& m, const Fall& fall, std::size_t b, const std::vector<Point>& points,
+                      std::vector<Finding>& findings) {
   Finding worst;
   for (const ToolModel& tool : m.tools) {
     if (tool.core_points == 0) continue;  // nothing passes a solid
@@ -224,7 +225,7 @@ void find_passed_tool(const Fall& fall, std::size_t b, const std::vector<Point>&
     });
     if (way_m == kLongestFallM) continue;
     const double thickness_m = 2 * tool.radius_m;
-    const double step_m = (fall.speed_after(way_m) + fall.acceleration_m_per_s2 * m.dt_s) * m.dt_s;
+    const double step_m = (fall.speed_after(way_m) + fall.acceleration_m_per_s2 * m.settings.dt_s) * m.settings.dt_s;
     const double value = step_m / thickness_m;
     if (!(value > thresholds::kPassingWay) || value <= worst.value) continue;
     const std::string& body = m.bodies[b].name;
@@ -238,26 +239,25 @@ void find_passed_tool(const Fall& fall, std::size_t b, const std::vector<Point>&
                                     "thick, so it can pass through",
                                     body, 1e3 * step_m, tool.name, 1e3 * thickness_m),
              .remedy = fmt::format("take a dt_s of {:.2g} s or less, a thicker tool, or a solid (box, plane, mesh)",
-                                   m.dt_s * thresholds::kPassingWay / value)};
+                                   m.settings.dt_s * thresholds::kPassingWay / value)};
   }
-  if (worst.value > 0) m.findings.push_back(worst);
+  if (worst.value > 0) findings.push_back(worst);
 }
 
-void find_passed_tools(const Compilation& c, const StartSurface& surface, Model& m) {
-  if (m.quasi_static()) return;
+void find_passed_tools(const ToolMistakeInput& m, const StartSurface& surface, std::vector<Finding>& findings) {
+  if (m.settings.quasi_static()) return;
   for (std::size_t b = 0; b < m.bodies.size(); ++b) {
     const BodyModel& body = m.bodies[b];
-    const auto of_body = [&](std::uint32_t node) { return node - body.node_begin < body.node_count; };
-    const bool hangs = std::any_of(c.attachments.begin(), c.attachments.end(), [&](const ReadAttachment& attachment) {
+    const bool hangs = std::any_of(m.attachments.begin(), m.attachments.end(), [&](const ReadAttachment& attachment) {
       return std::any_of(attachment.springs.begin(), attachment.springs.end(),
-                         [&](const auto& spring) { return of_body(spring[0]) || of_body(spring[1]); });
+                         [&](const auto& spring) { return body.has_node(spring[0]) || body.has_node(spring[1]); });
     });
     if (body.fixed_node_count > 0 || hangs) continue;
     Point velocity = Point::Zero();
     std::vector<Point> points;
     for (std::size_t v = 0; v < surface.vertices.size(); ++v) {
       const std::uint32_t row = m.contact.surface_rows[v];
-      if (!of_body(m.layout.node_of_row[row])) continue;
+      if (!body.has_node(m.layout.node_of_row[row])) continue;
       points.push_back(surface.vertices[v]);
       if (m.initial_velocity.empty()) continue;
       for (std::size_t i = 0; i < 3; ++i) velocity[static_cast<Eigen::Index>(i)] += m.initial_velocity[4 * row + i];
@@ -266,26 +266,27 @@ void find_passed_tools(const Compilation& c, const StartSurface& surface, Model&
     const std::size_t stride = points.size() / kFallingPoints + 1;
     std::vector<Point> sampled;
     for (std::size_t i = 0; i < points.size(); i += stride) sampled.push_back(points[i]);
-    const double damping = c.scene.bodies(static_cast<int>(b)).rayleigh_mass_per_s();
-    const double gravity = m.gravity_m_per_s2.norm();
+    const double damping = m.damping[b].mass_per_s;
+    const double gravity = m.settings.gravity_m_per_s2.norm();
     if (gravity > 0) {
-      const Point down = m.gravity_m_per_s2 / gravity;
-      find_passed_tool({down, std::max(velocity.dot(down), 0.0), gravity, damping}, b, sampled, m);
+      const Point down = m.settings.gravity_m_per_s2 / gravity;
+      find_passed_tool(m, {down, std::max(velocity.dot(down), 0.0), gravity, damping}, b, sampled, findings);
     } else if (velocity.norm() > 0) {
-      find_passed_tool({velocity.normalized(), velocity.norm(), 0, damping}, b, sampled, m);
+      find_passed_tool(m, {velocity.normalized(), velocity.norm(), 0, damping}, b, sampled, findings);
     }
   }
 }
 
 }  // namespace
 
-void find_mistakes_of_tools(Compilation& c) {
-  Model& m = c.model;
-  if (m.tools.empty()) return;
-  const StartSurface surface(m);
-  for (const ToolModel& tool : m.tools) find_tool_inside(surface, tool, m);
-  find_coarse_surfaces(surface, m);
-  find_passed_tools(c, surface, m);
+std::vector<Finding> find_mistakes_of_tools(const ToolMistakeInput& input) {
+  std::vector<Finding> findings;
+  if (input.tools.empty()) return findings;
+  const StartSurface surface(input);
+  for (const ToolModel& tool : input.tools) find_tool_inside(input, surface, tool, findings);
+  find_coarse_surfaces(input, surface, findings);
+  find_passed_tools(input, surface, findings);
+  return findings;
 }
 
 }  // namespace tensormass::model

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "model/compile_parts.h"
+#include "model/read_parts.h"
 
 /// Which wedges form a cluster (clusters.h).
 ///

@@ -20,7 +20,7 @@ void expect_permutation(std::vector<std::uint32_t> order, std::size_t count) {
 TEST(Partition, PatchesAreEqualInSizeAndHoldEveryNodeOnce) {
   const Mesh mesh = testing::random_mesh(1, 6, 0.8);
   for (const std::uint32_t patch_count : {1u, 2u, 3u, 7u, 16u, 100u}) {
-    const Partition result = partition(mesh, patch_count, 8);
+    const Partition result = partition(mesh.nodes, patch_count, 8);
     expect_permutation(result.order, mesh.nodes.size());
     ASSERT_EQ(result.offsets.size(), patch_count + 1);
     EXPECT_EQ(result.offsets.front(), 0u);
@@ -35,7 +35,7 @@ TEST(Partition, PatchesAreEqualInSizeAndHoldEveryNodeOnce) {
 
 TEST(Partition, MorePatchesThanNodesLeavesSomeEmpty) {
   const Mesh mesh = testing::unit_grid(1);
-  const Partition result = partition(mesh, 20, 4);
+  const Partition result = partition(mesh.nodes, 20, 4);
   expect_permutation(result.order, 8);
   for (std::uint32_t patch = 0; patch < 20; ++patch) {
     EXPECT_LE(result.offsets[patch + 1] - result.offsets[patch], 1u);
@@ -45,7 +45,7 @@ TEST(Partition, MorePatchesThanNodesLeavesSomeEmpty) {
 TEST(Partition, PatchesAreCompact) {
   // A long beam in four patches must be cut across its length into quarters.
   const Mesh mesh = make_grid({0, 0, 0}, {8.0, 1.0, 0.8}, 64, 8, 6).value();
-  const Partition result = partition(mesh, 4, 32);
+  const Partition result = partition(mesh.nodes, 4, 32);
   for (std::uint32_t patch = 0; patch < 4; ++patch) {
     Eigen::AlignedBox3d box;
     for (std::uint32_t i = result.offsets[patch]; i < result.offsets[patch + 1]; ++i) {
@@ -58,7 +58,7 @@ TEST(Partition, PatchesAreCompact) {
 TEST(Partition, CutsFewEdges) {
   // A patch has 216 nodes, at best 6 × 6 × 6. A random partition cuts 96 % of the edges, slabs cut about 40 %.
   const Mesh mesh = testing::unit_grid(17);
-  const Partition result = partition(mesh, 27, 32);
+  const Partition result = partition(mesh.nodes, 27, 32);
   std::vector<std::uint32_t> patch_of(mesh.nodes.size());
   for (std::uint32_t patch = 0; patch < 27; ++patch) {
     for (std::uint32_t i = result.offsets[patch]; i < result.offsets[patch + 1]; ++i) patch_of[result.order[i]] = patch;
