@@ -339,13 +339,13 @@ void Loop::go_on_from_new_state() {
   outputs_.publish(true);
 }
 
-Result<v1::Frame> Loop::do_frame(std::uint64_t topology_version) {
+Result<v1::Frame> Loop::do_frame() {
   TM_RETURN_IF_ERROR(require_state());
   if (!outputs_.has_frames()) {
     return fail(ErrorCode::kFailedPrecondition,
                 fmt::format("scene '{}' has no frames: streams.frame_rate_hz is 0", model_.name));
   }
-  return outputs_.frame(topology_version);
+  return outputs_.frame();
 }
 
 Result<const model::BodyModel*> Loop::find_body(std::string_view name) const {

@@ -117,7 +117,7 @@ class Loop {
   /// Makes `count` steps of a scene in lockstep or paused; the last one brings a frame and diagnostics.
   Result<v1::SceneStatus> do_step(std::uint32_t count);
   Result<v1::SceneStatus> do_reset();
-  Result<v1::Frame> do_frame(std::uint64_t topology_version);
+  Result<v1::Frame> do_frame();
   Result<v1::GetPositionsResponse> do_positions(std::string_view body);
   Result<FieldSource> do_copy_state();
   Result<v1::ToolFeedback> do_feedback(std::size_t tool) { return outputs_.feedback(tool); }

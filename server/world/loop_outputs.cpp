@@ -29,7 +29,8 @@ LoopOutputs::LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_publis
 void LoopOutputs::take_step(Clock::time_point began) {
   const std::span<const ToolReading> readings = world_.readings();
   TM_ASSERT(readings.size() == tools_.size(), "a reading for each tool");
-  stamp_ = {world_.step_count(), world_.simulated_time_s(), unix_time_ns(), began, Clock::now()};
+  stamp_ = {world_.step_count(), world_.simulated_time_s(), unix_time_ns(), began,
+            Clock::now(),        world_.topology_version()};
   std::copy(readings.begin(), readings.end(), tools_.begin());
 }
 
@@ -86,11 +87,10 @@ void LoopOutputs::leave_frame() {
   if (frames_.publish()) frames_replaced_.fetch_add(1, std::memory_order_relaxed);
 }
 
-v1::Frame LoopOutputs::frame(std::uint64_t topology_version) {
+v1::Frame LoopOutputs::frame() {
   TM_ASSERT(has_frames(), "only a scene with visible nodes has frames");
   world_.gather_visible();
   v1::Frame frame;
-  frame.set_topology_version(topology_version);
   frame.set_sequence(frames_published_->load(std::memory_order_relaxed));
   fill_frame(model_, stamp_, world_.visible_positions(), tools_, world_.broken_springs(), frame);
   return frame;
@@ -103,10 +103,9 @@ v1::ToolFeedback LoopOutputs::feedback(std::size_t tool) const {
   return feedback;
 }
 
-bool LoopOutputs::take_frame(std::uint64_t topology_version, v1::Frame& frame) {
+bool LoopOutputs::take_frame(v1::Frame& frame) {
   const FrameSlot* slot = frames_.take();
   if (slot == nullptr) return false;
-  frame.set_topology_version(topology_version);
   frame.set_sequence(frames_published_->fetch_add(1, std::memory_order_relaxed) + 1);
   fill_frame(model_, slot->stamp, slot->positions, slot->tools, slot->broken_springs, frame);
   return true;

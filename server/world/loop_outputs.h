@@ -57,13 +57,14 @@ class LoopOutputs {
 
   const StepStamp& stamp() const { return stamp_; }
   /// The frame of this moment; gathers the visible positions. Needs has_frames().
-  v1::Frame frame(std::uint64_t topology_version);
+  v1::Frame frame();
   v1::ToolFeedback feedback(std::size_t tool) const;
 
   // -- the publisher's thread -----------------------------------------------------------------------------------------
 
-  /// Takes the newest frame; false if there is none since the last call.
-  bool take_frame(std::uint64_t topology_version, v1::Frame& frame);
+  /// Takes the newest frame; false if there is none since the last call. Its topology is that of its step, also if the
+  /// world has another one by now.
+  bool take_frame(v1::Frame& frame);
   /// Takes the newest feedback of all tools; false if there is none since the last call.
   bool take_feedback(std::vector<v1::ToolFeedback>& feedback);
 

@@ -137,6 +137,7 @@ void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<con
                 std::span<const ToolReading> tools, std::span<const std::uint8_t> broken_springs, v1::Frame& out) {
   TM_ASSERT(positions.size() == 3 * std::size_t{model.visible.count()}, "positions of all visible points");
   const std::size_t vertices = 3 * std::size_t{model.visible.vertex_count};
+  out.set_topology_version(stamp.topology_version);
   out.set_step(stamp.step);
   out.set_simulated_time_s(stamp.simulated_time_s);
   out.set_server_time_ns(stamp.server_time_ns);

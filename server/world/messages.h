@@ -12,12 +12,14 @@
 /// Conversion of a scene's values to the messages of the protocol.
 namespace tensormass::world {
 
-/// A step: its number, its end in simulated time and on the server's clock, and when it was computed.
+/// A step: its number, its end in simulated time and on the server's clock, when it was computed, and the version of
+/// the v1::Topology that its positions have.
 struct StepStamp {
   std::uint64_t step = 0;
   double simulated_time_s = 0;
   std::uint64_t server_time_ns = 0;
   Clock::time_point began{}, ended{};
+  std::uint64_t topology_version = 0;
 };
 
 /// Visible positions, tools and broken springs of a step, from the loop to the publisher.

@@ -38,6 +38,7 @@ struct Runner::Impl {
         scene_hash(compiled.scene_hash) {
     for (std::size_t i = 0; i < world->model().tools.size(); ++i) tool_index.emplace(world->model().tools[i].name, i);
     if (source) adjustments = adjustments_of(source->scene);
+    world->set_topology_version(topology.version());
     present = std::make_shared<Loop>(backend.backend, std::move(world), Loop::Start{});
   }
 
@@ -161,7 +162,7 @@ SceneMetrics Runner::metrics() const {
 void Runner::cancel() { impl_->loop()->cancel(); }
 
 Result<v1::Frame> Runner::frame() {
-  return impl_->read([this](Loop& loop) { return loop.do_frame(impl_->topology.version()); });
+  return impl_->read([](Loop& loop) { return loop.do_frame(); });
 }
 Result<v1::GetPositionsResponse> Runner::positions(std::string_view body) {
   return impl_->read([body](Loop& loop) { return loop.do_positions(body); });
@@ -263,6 +264,7 @@ Result<v1::AdjustSceneResponse> Runner::adjust(const v1::SceneAdjustments& chang
 Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted) {
   TM_ASSIGN_OR_RETURN(compiled, compile_scene(adjusted(source->scene, wanted), source->options));
   TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
+  world->set_topology_version(topology.version());  // values do not change what clients see of the mesh
   const std::unique_lock lock(commands);
   const std::shared_ptr<Loop> old = loop();
   TM_ASSERT(hash_of_layout(world->model()) == hash_of_layout(old->model()), "values do not change the order of nodes");
@@ -300,9 +302,7 @@ void Runner::set_output_signal(std::function<void()> signal) {
   (void)loop->call([&] { return loop->do_set_signal(impl_->signal); });
 }
 
-bool Runner::take_frame(v1::Frame& frame) {
-  return impl_->loop()->outputs().take_frame(impl_->topology.version(), frame);
-}
+bool Runner::take_frame(v1::Frame& frame) { return impl_->loop()->outputs().take_frame(frame); }
 bool Runner::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
   return impl_->loop()->outputs().take_feedback(feedback);
 }

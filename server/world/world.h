@@ -45,6 +45,11 @@ class World {
 
   const model::Model& model() const { return *model_; }
 
+  /// Version of the v1::Topology that describes the visible surface; frames repeat it.
+  std::uint64_t topology_version() const { return topology_version_; }
+  /// Call it between two steps.
+  void set_topology_version(std::uint64_t version) { topology_version_ = version; }
+
   /// Returns the pose that a tool moves to.
   const Pose& tool_target(std::size_t tool) const { return tools_[tool].target(); }
   /// stamp: of the pose's message; the tool's next reading repeats it. valid_for_s: as in ReceivedPose.
@@ -226,6 +231,7 @@ class World {
   std::vector<std::uint8_t> broken_bits_;
   std::uint32_t broken_count_ = 0;  // bits that are set
   std::uint64_t step_count_ = 0;
+  std::uint64_t topology_version_ = 0;
 };
 
 }  // namespace tensormass::world

@@ -34,7 +34,7 @@ class Attachments : public tests::OnBackend {
     world.gather_visible();
     outputs.publish(true);
     v1::Frame frame;
-    EXPECT_TRUE(outputs.take_frame(1, frame));
+    EXPECT_TRUE(outputs.take_frame(frame));
     return frame;
   }
 };
@@ -104,7 +104,7 @@ TEST_P(Attachments, FramesSayWhichSpringsAreBroken) {
   EXPECT_EQ(published(*world, outputs).broken_springs(), kNone);
   for (int i = 0; i < 20; ++i) ASSERT_TRUE(world->step(false));
   EXPECT_EQ(published(*world, outputs).broken_springs(), kAllWeak);
-  EXPECT_EQ(outputs.frame(1).broken_springs(), kAllWeak) << "whoever asks gets the same";
+  EXPECT_EQ(outputs.frame().broken_springs(), kAllWeak) << "whoever asks gets the same";
   const World::Saved torn = world->save();
 
   world->reset();
