@@ -8,7 +8,7 @@
 #include "core/log.h"
 #include "core/result.h"
 #include "core/state_limits.h"
-#include "world/runner.h"
+#include "world/runner_options.h"
 
 namespace tensormass::daemon {
 

@@ -4,8 +4,12 @@
 #include <memory>
 
 #include "backend/backend.h"
+#include "core/result.h"
+#include "model/model.h"
+#include "model/progress.h"
 #include "tensormass/v1/control.pb.h"
-#include "world/runner.h"
+#include "tensormass/v1/scene.pb.h"
+#include "world/runner_options.h"
 
 namespace tensormass::world {
 

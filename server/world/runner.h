@@ -15,6 +15,7 @@
 #include "tensormass/v1/stream.pb.h"
 #include "world/pose_source.h"
 #include "world/recording.h"
+#include "world/runner_options.h"
 
 namespace tensormass::world {
 
@@ -35,14 +36,6 @@ struct StateMark {
   std::uint64_t adjustment = 0, change = 0;
   v1::SceneStatus::State state = v1::SceneStatus::STATE_UNSPECIFIED;
   bool operator==(const StateMark&) const = default;
-};
-
-enum class BackendChoice { kAuto, kCpu, kCuda };
-
-struct RunnerOptions {
-  BackendChoice backend = BackendChoice::kAuto;
-  std::uint32_t cpu_threads = 1;  ///< threads of a scene that does not set its own
-  std::uint32_t gpu_scenes = 1;   ///< number of scenes that step on the GPU at the same time
 };
 
 /// A recording, and the message with which its stream begins.
@@ -152,14 +145,5 @@ class Runner {
   explicit Runner(std::unique_ptr<Impl> impl);
   std::unique_ptr<Impl> impl_;
 };
-
-/// Names of a backend and its device on this machine: "cpu", "AMD EPYC ..., 2 threads".
-struct BackendDescription {
-  std::string backend;
-  std::string device;
-  std::string reason;  ///< why it was selected, for people
-};
-/// Describes the backend that `choice` selects. kCuda without a device is an error; kAuto falls back to the CPU.
-Result<BackendDescription> describe_backend(BackendChoice choice);
 
 }  // namespace tensormass::world

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "backend/step_reports.h"
 #include "support/staged_scene.h"
 
 /// The first tool of a staged scene, between the steps that a test runs.

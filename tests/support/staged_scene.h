@@ -10,7 +10,7 @@
 #include <Eigen/Dense>
 
 #include "backend/cpu/arena.h"
-#include "backend/results.h"
+#include "backend/step_inputs.h"
 #include "model/bind.h"
 #include "model/compile.h"
 #include "step/stages.h"
