@@ -18,12 +18,15 @@
 ///                    +--> backend::cpu::Arena   host memory          SceneView: the scene
 ///   Model --bind()--+--> DeviceArena           device memory   -->  ElementView: one for each group
 ///                    +--> CountingArena         names and bytes      StepExchange: input and output of a step
+///                                                                    HostInputs: what the host writes between steps
 ///
 /// An Arena has three functions. Each returns nullptr for no items; CountingArena always does.
 ///
-///   const T* constant<T>(name, const std::vector<U>& items)   returns a copy, converted to T by static_cast
-///   T* zeros<T>(name, count)                                  returns `count` zeros
-///   const T* generated<T>(name, count, fill)                  returns zeros over which fill(T*) has written once
+///   T* constant<T>(name, const std::vector<U>& items)   returns a copy, converted to T by static_cast
+///   T* zeros<T>(name, count)                            returns `count` zeros
+///   const T* generated<T>(name, count, fill)            returns zeros over which fill(T*) has written once
+///
+/// Stages only read what is constant: their views have const pointers to it.
 ///
 /// A buffer that the scene does not need has no items, and its pointer is null. Lengths follow from
 ///   rows   rows of the layout, with gap rows       local  rows + all halos: vectors that are stored patch by patch
@@ -33,9 +36,9 @@ namespace tensormass::model {
 /// The input of a step and its reports. A device may keep them apart from its other buffers, to copy them at once.
 template <class Real>
 struct StepExchange {
-  const view::StepControl<Real>* control;
-  const physics::PlacedTool<Real>* tools;
-  const Real* prescribed;
+  view::StepControl<Real>* control;
+  physics::PlacedTool<Real>* tools;
+  Real* prescribed;
   view::SolveReport<Real>* solve_report;
   view::PatchReport<Real>* patch_reports;
   view::PatchResidual<Real>* residuals;
@@ -44,6 +47,23 @@ struct StepExchange {
   view::ToolLoad<Real>* tool_loads;
   view::TieReport<Real>* tie_reports;
   view::BalanceReport<Real>* balance_reports;
+};
+
+/// The buffers that the host writes between steps and stages only read. Members as in the views that have them.
+template <class Real>
+struct HostInputs {
+  view::StepControl<Real>* control;
+  physics::PlacedTool<Real>* tools;
+  Real* prescribed;
+  view::NewtonControl* newton;
+  Real* external;
+  view::PressureFace<Real>* faces;
+};
+
+template <class Real>
+struct BoundScene {
+  view::SceneView<Real> view;
+  HostInputs<Real> inputs;
 };
 
 template <class Real, class Arena>
@@ -66,7 +86,7 @@ StepExchange<Real> make_exchange(const Model& m, Arena& arena) {
 
 /// Allocates the buffers of a scene, except those of its groups and of the exchange.
 template <class Real, class Arena>
-view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& exchange) {
+BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& exchange) {
   using std::uint32_t;
   const matrix::Layout& layout = m.layout;
   const std::size_t rows = layout.row_count, patches = layout.patch_count, tools = m.tools.size();
@@ -76,7 +96,12 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   TM_ASSERT(layout.patch_rows.size() == patches + 1 && layout.patch_halo.size() == patches + 1,
             "each patch has rows and a halo");
   TM_ASSERT(rows % view::kSliceRows == 0 && m.rest.size() == 4 * rows, "a row field has a vector for each row");
-  view::SceneView<Real> s{};
+  BoundScene<Real> bound{};
+  view::SceneView<Real>& s = bound.view;
+  HostInputs<Real>& inputs = bound.inputs;
+  inputs.control = exchange.control;
+  inputs.tools = exchange.tools;
+  inputs.prescribed = exchange.prescribed;
   s.patches.row_count = layout.row_count;
   s.patches.patch_count = layout.patch_count;
   s.contact.tool_count = static_cast<uint32_t>(tools);
@@ -121,7 +146,8 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.guard.relative_position =
       arena.template zeros<Real>("relative positions", only_if(edges && m.checks_volume(), 4 * rows));
   s.state.inertia = arena.template constant<Real>("inertia", m.inertia);
-  s.state.external = arena.template constant<Real>("external forces", m.external);
+  inputs.external = arena.template constant<Real>("external forces", m.external);
+  s.state.external = inputs.external;
   s.matrix.mass_edges = arena.template constant<Real>("consistent mass", m.mass_edges);
 
   const bool two_steps = m.integrator == Integrator::kBdf2;
@@ -129,6 +155,7 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.state.base_velocity = arena.template zeros<Real>("base velocity", only_if(!m.is_plain(), 4 * rows));
   s.state.previous_displacement = arena.template zeros<Real>("previous displacement", only_if(two_steps, 4 * rows));
   s.state.previous_velocity = arena.template zeros<Real>("previous velocity", only_if(two_steps, 4 * rows));
+  s.state.show_to_readers();
   s.guard.checkpoint_displacement = arena.template zeros<Real>("checkpoint displacement", 4 * rows);
   s.guard.checkpoint_velocity = arena.template zeros<Real>("checkpoint velocity", 4 * rows);
   s.guard.checkpoint_previous_displacement =
@@ -138,13 +165,15 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.newton.increment = arena.template zeros<Real>("increment", only_if(m.iterates(), 4 * rows));
   s.newton.iterate = arena.template zeros<Real>("iterate", only_if(m.iterates(), 4 * rows));
   s.newton.internal_force = arena.template zeros<Real>("internal forces", only_if(m.iterates(), 4 * rows));
-  s.newton.control = arena.template zeros<view::NewtonControl>("Newton control", only_if(m.iterates(), 1));
+  inputs.newton = arena.template zeros<view::NewtonControl>("Newton control", only_if(m.iterates(), 1));
+  s.newton.control = inputs.newton;
 
   s.prescribed.patch_begin =
       arena.template constant<uint32_t>("prescribed rows of patches", m.prescribed_rows.patch_begin);
   s.prescribed.rows = arena.template constant<uint32_t>("prescribed rows", m.prescribed_rows.rows);
 
-  s.pressure.faces = arena.template constant<view::PressureFace<Real>>("pressure faces", m.pressure.faces);
+  inputs.faces = arena.template constant<view::PressureFace<Real>>("pressure faces", m.pressure.faces);
+  s.pressure.faces = inputs.faces;
   s.pressure.patch_begin = arena.template constant<uint32_t>("pressed rows of patches", m.pressure.patch_begin);
   s.pressure.rows = arena.template constant<uint32_t>("pressed rows", m.pressure.rows);
   s.pressure.corner_begin = arena.template constant<uint32_t>("pressed corner offsets", m.pressure.corner_begin);
@@ -233,12 +262,12 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
 
   s.solve.reduction = arena.template zeros<Real>("partial sums", 2 * patches * view::kPatchSums);
   s.solve.exchange_tags = arena.template zeros<uint32_t>("exchange tags", patches);
-  return s;
+  return bound;
 }
 
 /// Allocates the exchange and the other buffers of a scene from one arena.
 template <class Real, class Arena>
-view::SceneView<Real> bind(const Model& m, Arena& arena) {
+BoundScene<Real> bind(const Model& m, Arena& arena) {
   return bind<Real>(m, arena, make_exchange<Real>(m, arena));
 }
 

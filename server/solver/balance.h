@@ -9,7 +9,7 @@ namespace tensormass::solver {
 /// Reads corrections; reads and writes displacement, velocity; writes patch_reports.
 template <class Team, class Real>
 TM_HOST_DEVICE void apply_balance(const Team& team, const view::PatchesView& patches,
-                                  const view::StateView<Real>& state, const view::GuardView<Real>& guard,
+                                  const view::StateWriter<Real>& state, const view::GuardView<Real>& guard,
                                   const view::BalanceView<Real>& balance) {
   if (balance.patch_entries[team.patch()] == balance.patch_entries[team.patch() + 1]) return;
   const Real h = view::step_size(state);

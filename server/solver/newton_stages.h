@@ -9,7 +9,7 @@ namespace tensormass::solver {
 /// Reads iterate, increment, Newton's control, checkpoint; writes velocity, displacement, relative_position,
 /// patch_reports.
 template <class Team, class Real>
-TM_HOST_DEVICE void backtrack(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+TM_HOST_DEVICE void backtrack(const Team& team, const view::PatchesView& patches, const view::StateWriter<Real>& state,
                               const view::NewtonView<Real>& newton, const view::GuardView<Real>& guard) {
   const Real share = static_cast<Real>(newton.control->line_share);
   const auto velocity = [&](std::uint32_t row) -> Vec3<Real> {

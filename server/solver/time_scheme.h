@@ -55,7 +55,7 @@ TM_HOST_DEVICE void save_checkpoint(const view::StateView<Real>& state, const vi
 /// Computes û and v̂ from the last two steps, and starts the solve at v = v̂. Only for scenes that are not plain.
 /// Reads displacement, velocity, previous fields; writes base and previous fields, velocity, checkpoint.
 template <class Team, class Real>
-TM_HOST_DEVICE void predict(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+TM_HOST_DEVICE void predict(const Team& team, const view::PatchesView& patches, const view::StateWriter<Real>& state,
                             const view::GuardView<Real>& guard) {
   const view::Patch patch = view::patch_of(patches, team.patch());
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
@@ -79,7 +79,7 @@ TM_HOST_DEVICE void predict(const Team& team, const view::PatchesView& patches, 
 /// they are half-way there in the middle.
 /// Reads prescribed displacement, û; writes velocity.
 template <class Team, class Real>
-TM_HOST_DEVICE void prescribe(const Team& team, const view::StateView<Real>& state,
+TM_HOST_DEVICE void prescribe(const Team& team, const view::StateWriter<Real>& state,
                               const view::PrescribedView<Real>& prescribed) {
   const Real* base = state.base_displacement != nullptr ? state.base_displacement : state.displacement;
   team.for_each(prescribed.patch_begin[team.patch()], prescribed.patch_begin[team.patch() + 1], [&](std::uint32_t i) {
@@ -161,7 +161,7 @@ TM_HOST_DEVICE void report(const Team& team, const view::GuardView<Real>& guard,
 /// before the step and read(row) the velocity before it.
 template <class Team, class Real, class Read, class Velocity, class Moved>
 TM_HOST_DEVICE Motion<Real> move_rows(const Team& team, const view::PatchesView& patches,
-                                      const view::StateView<Real>& state, const view::GuardView<Real>& guard,
+                                      const view::StateWriter<Real>& state, const view::GuardView<Real>& guard,
                                       bool saves, const Read& read, const Velocity& velocity_of, const Moved& moved) {
   const view::Patch patch = view::patch_of(patches, team.patch());
   const Real* base = state.base_displacement != nullptr ? state.base_displacement : state.displacement;
@@ -205,7 +205,7 @@ TM_HOST_DEVICE Motion<Real> move_rows(const Team& team, const view::PatchesView&
 /// Reads velocity, displacement or û, checkpoint; writes velocity, displacement, iterate, increment, checkpoint.
 template <class Team, class Real, class Change, class Moved>
 TM_HOST_DEVICE Motion<Real> advance_by(const Team& team, const view::PatchesView& patches,
-                                       const view::StateView<Real>& state, const view::NewtonView<Real>& newton,
+                                       const view::StateWriter<Real>& state, const view::NewtonView<Real>& newton,
                                        const view::GuardView<Real>& guard, const Change& change_of,
                                        const Moved& moved) {
   // In a scene with base fields `predict` has already saved the checkpoint.
@@ -257,7 +257,7 @@ TM_HOST_DEVICE void move_and_report(const Team& team, const view::StateView<Real
 /// Applies the solution: v += Δv, u = û + h v.
 /// Reads solution, diagonal; writes what advance_by does, relative_position, patch_reports.
 template <class Team, class Real>
-TM_HOST_DEVICE void advance(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+TM_HOST_DEVICE void advance(const Team& team, const view::PatchesView& patches, const view::StateWriter<Real>& state,
                             const view::MatrixView<Real>& matrix, const view::SolveView<Real>& solve,
                             const view::NewtonView<Real>& newton, const view::GuardView<Real>& guard) {
   const auto change_of = [&](std::uint32_t row) -> Vec3<Real> {
@@ -273,7 +273,7 @@ TM_HOST_DEVICE void advance(const Team& team, const view::PatchesView& patches, 
 ///
 /// Reads checkpoint; reads and writes displacement, velocity, patch_reports; writes relative_position.
 template <class Team, class Real, class Change>
-TM_HOST_DEVICE void move_again(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+TM_HOST_DEVICE void move_again(const Team& team, const view::PatchesView& patches, const view::StateWriter<Real>& state,
                                const view::GuardView<Real>& guard, const Change& change) {
   const view::Patch patch = view::patch_of(patches, team.patch());
   Motion<Real> motion;
@@ -300,8 +300,8 @@ TM_HOST_DEVICE void move_again(const Team& team, const view::PatchesView& patche
 /// Continues from the middle of the step to its end, for the implicit midpoint rule, and replaces the patch's report.
 /// Reads û, v̂, checkpoint; reads and writes displacement, velocity; writes patch_reports.
 template <class Team, class Real>
-TM_HOST_DEVICE void extrapolate(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                                const view::GuardView<Real>& guard) {
+TM_HOST_DEVICE void extrapolate(const Team& team, const view::PatchesView& patches,
+                                const view::StateWriter<Real>& state, const view::GuardView<Real>& guard) {
   const Real reach = state.control->scheme.reach;
   if (reach == 1) return;  // a step of implicit Euler, which is solved for its end
   move_again(team, patches, state, guard, [&](std::uint32_t row, Vec3<Real>& u, Vec3<Real>& v) {

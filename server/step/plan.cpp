@@ -21,7 +21,7 @@ class CountingArena {
   explicit CountingArena(v1::SceneReport& report) : report_(report) {}
 
   template <class T, class U>
-  const T* constant(std::string_view name, const std::vector<U>& items) {
+  T* constant(std::string_view name, const std::vector<U>& items) {
     return zeros<T>(name, items.size());
   }
   template <class T, class Fill>

@@ -22,7 +22,7 @@
 ///    inspect` alike. They can therefore not disagree.
 ///
 ///   patches ──────> who owns which rows
-///   state ────────> u, v, rest positions, masses        read by all, moved by `advance`
+///   state ────────> u, v, rest positions, masses        a StateView reads, a StateWriter moves rows
 ///   elements ─────> groups of (shape, law)              one ElementView each, beside the scene
 ///   matrix ───────> A and b                             elements, loads and contact add to it
 ///   solve ────────> conjugate gradients                 Â x = b̂
@@ -34,7 +34,7 @@ namespace tensormass::view {
 template <class Real>
 struct SceneView {
   PatchesView patches;
-  StateView<Real> state;
+  StateWriter<Real> state;
   MatrixView<Real> matrix;
   SolveView<Real> solve;
   NewtonView<Real> newton;

@@ -42,7 +42,7 @@ struct StepControl {
   std::uint32_t next_solution;       // the same: this step writes its solution there; may equal last_solution
 };
 
-/// Fields of rows, [row_count, 4] each.
+/// Fields of rows, [row_count, 4] each, for stages that read them.
 template <class Real>
 struct StateView {
   const StepControl<Real>* control;  // [1]
@@ -50,15 +50,37 @@ struct StateView {
   std::uint32_t iterates;            // 1: forces are evaluated again after each solve (solver/newton.h)
 
   const Real* rest;  // X [m]; 4th: bits of the free directions, 7 for a free row, 0 for a fixed or padding row
-  Real* displacement;
-  Real* velocity;
+  const Real* displacement;
+  const Real* velocity;
   const Real* inertia;   // mass [kg], Rayleigh α [1/s], Rayleigh β [s], body weight s of solver/jacobi_scaling.h
   const Real* external;  // constant force [N]; nullptr: the scene has neither gravity nor loads
 
-  Real* base_displacement;      // û; nullptr: the displacement itself
-  Real* base_velocity;          // v̂; nullptr: the velocity itself
-  Real* previous_displacement;  // at the end of the step before the last; nullptr: the scheme does not use it
+  const Real* base_displacement;      // û; nullptr: the displacement itself
+  const Real* base_velocity;          // v̂; nullptr: the velocity itself
+  const Real* previous_displacement;  // at the end of the step before the last; nullptr: the scheme does not use it
+  const Real* previous_velocity;
+};
+
+/// The same fields for stages that move them. A stage that takes a StateView cannot write.
+template <class Real>
+struct StateWriter : StateView<Real> {
+  Real* displacement;
+  Real* velocity;
+  Real* base_displacement;
+  Real* base_velocity;
+  Real* previous_displacement;
   Real* previous_velocity;
+
+  /// Lets readers see the fields that this writes. Call it once the pointers are set.
+  void show_to_readers() {
+    StateView<Real>& shown = *this;
+    shown.displacement = displacement;
+    shown.velocity = velocity;
+    shown.base_displacement = base_displacement;
+    shown.base_velocity = base_velocity;
+    shown.previous_displacement = previous_displacement;
+    shown.previous_velocity = previous_velocity;
+  }
 };
 
 /// h of the step [s].

@@ -8,8 +8,7 @@ namespace tensormass::contact {
 
 /// Puts the shape of the tool at a pose. start: its pose at the start of the coming step.
 inline void place(tests::StagedScene<double>& staged, const physics::Pose& shape, const physics::Pose& start) {
-  // The view hands tools to the stages as constants; between steps they are the backend's to write.
-  auto& tool = const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]);
+  physics::PlacedTool<double>& tool = staged.inputs.tools[0];
   tool = staged.model.tools[0].placed<double>(shape, start);
   tool.samples = staged.view.contact.samples;
 }

@@ -207,7 +207,7 @@ TEST_P(Patches, ReportNan) {
 template <class Real>
 void start_from(StagedScene<Real>& staged, const Eigen::VectorXd& last) {
   staged.put(staged.view.solve.kept, last);
-  const_cast<view::StepControl<Real>*>(staged.view.state.control)->starts_from_last = 1;
+  staged.inputs.control->starts_from_last = 1;
 }
 
 TEST_P(Patches, NeedNoIterationMoreIfTheLastSolutionIsRight) {

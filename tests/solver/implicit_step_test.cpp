@@ -57,7 +57,7 @@ TEST(Advance, StoresPositionsThatMatchTheDisplacement) {
     return most;
   };
   staged.put(staged.view.newton.increment, tests::random_field(3 * staged.node_count(), 1, 1));
-  auto& newton = *const_cast<view::NewtonControl*>(staged.view.newton.control);
+  view::NewtonControl& newton = *staged.inputs.newton;
   newton = {.positive_stiffness = 1, .begins_step = 1, .line_share = 0.25F};
   staged.run_through(step::StageKind::kAdvance);
   EXPECT_GT(expect_same(), 0);

@@ -31,10 +31,10 @@ class StagedScene {
   explicit StagedScene(const v1::Scene& scene, std::uint32_t patches = 1,
                        matrix::Storage storage = matrix::Storage::kEdges)
       : model(compile_into(scene, patches, storage)),
-        view(model::bind<Real>(model, arena_)),
+        bound_(model::bind<Real>(model, arena_)),
         stages_(step::list_stages(model)) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
-    *const_cast<view::StepControl<Real>*>(view.state.control) = backend::control_of<Real>(
+    *inputs.control = backend::control_of<Real>(
         model, {.dt_s = model.dt_s, .cg_max_iterations = model.cg_max_iterations, .projects_stiffness = true}, {});
   }
 
@@ -130,7 +130,13 @@ class StagedScene {
 
  public:
   const model::Model model;
-  view::SceneView<Real> view;
+
+ private:
+  model::BoundScene<Real> bound_;
+
+ public:
+  view::SceneView<Real> view = bound_.view;
+  model::HostInputs<Real> inputs = bound_.inputs;
 
  private:
   const std::vector<step::Stage> stages_;

@@ -17,7 +17,7 @@ namespace tensormass::backend::cpu {
 class Arena {
  public:
   template <class T, class U>
-  const T* constant(std::string_view name, const std::vector<U>& items) {
+  T* constant(std::string_view name, const std::vector<U>& items) {
     T* copy = zeros<T>(name, items.size());
     std::transform(items.begin(), items.end(), copy, [](U item) { return static_cast<T>(item); });
     return copy;

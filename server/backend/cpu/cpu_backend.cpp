@@ -11,10 +11,10 @@
 #include <fmt/format.h>
 
 #include "backend/backend.h"
+#include "backend/checkpoint.h"
 #include "backend/cpu/arena.h"
 #include "backend/cpu/elements.h"
 #include "backend/cpu/team.h"
-#include "backend/checkpoint.h"
 #include "backend/saved_state.h"
 #include "backend/step_inputs.h"
 #include "backend/step_reports.h"
@@ -32,13 +32,7 @@ class CpuState final : public SceneState {
   explicit CpuState(const model::Model& model)
       : model_(model),
         stages_(step::list_stages(model)),
-        view_(model::bind<Real>(model, arena_)),
-        tools_(const_cast<physics::PlacedTool<Real>*>(view_.contact.tools)),
-        control_(const_cast<view::StepControl<Real>*>(view_.state.control)),
-        newton_(const_cast<view::NewtonControl*>(view_.newton.control)),
-        prescribed_(const_cast<Real*>(view_.prescribed.displacement)),
-        external_(const_cast<Real*>(view_.state.external)),
-        faces_(const_cast<view::PressureFace<Real>*>(view_.pressure.faces)),
+        bound_(model::bind<Real>(model, arena_)),
         barrier_(view_.patches.patch_count),
         load_factors_(model) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) {
@@ -64,10 +58,10 @@ class CpuState final : public SceneState {
   }
 
   StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
-    write_tools(model_, input, view_.contact.samples, tools_);
-    write_prescribed(model_, input, prescribed_);
-    load_factors_.write(model_, input, external_, faces_);
-    *control_ = checkpoint_.begin(model_, input);
+    write_tools(model_, input, view_.contact.samples, inputs_.tools);
+    write_prescribed(model_, input, inputs_.prescribed);
+    load_factors_.write(model_, input, inputs_.external, inputs_.faces);
+    *inputs_.control = checkpoint_.begin(model_, input);
     StepResult result;
     if (model_.iterates()) {
       result = solver::newton_step<Real>(*this, model_.newton_max_iterations, model_.newton_tolerance,
@@ -140,7 +134,7 @@ class CpuState final : public SceneState {
   void solve() { run(step::Phase::kSolve); }
   void backtrack() { run(step::Phase::kBacktrack); }
   void end() { run(step::Phase::kEnd); }
-  view::NewtonControl& control() { return *newton_; }
+  view::NewtonControl& control() { return *inputs_.newton; }
   solver::NewtonResidual residual() const {
     return solver::read_residual<Real>({view_.newton.residuals, view_.patches.patch_count});
   }
@@ -204,13 +198,9 @@ class CpuState final : public SceneState {
   const model::Model& model_;
   const std::vector<step::Stage> stages_;
   cpu::Arena arena_;
-  const view::SceneView<Real> view_;
-  physics::PlacedTool<Real>* const tools_;
-  view::StepControl<Real>* const control_;
-  view::NewtonControl* const newton_;
-  Real* const prescribed_;
-  Real* const external_;
-  view::PressureFace<Real>* const faces_;
+  const model::BoundScene<Real> bound_;
+  const view::SceneView<Real>& view_ = bound_.view;
+  const model::HostInputs<Real>& inputs_ = bound_.inputs;
   std::vector<view::ElementView<Real>> groups_;
   std::vector<cpu::ElementPasses<Real>> passes_;
   cpu::Barrier barrier_;

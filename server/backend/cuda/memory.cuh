@@ -42,19 +42,14 @@ class DeviceArena {
   }
 
   template <class T, class U>
-  const T* constant(std::string_view name, const std::vector<U>& items) {
-    return generated<T>(name, items.size(), [&](T* to) {
+  T* constant(std::string_view name, const std::vector<U>& items) {
+    return filled<T>(name, items.size(), [&](T* to) {
       std::transform(items.begin(), items.end(), to, [](U item) { return static_cast<T>(item); });
     });
   }
   template <class T, class Fill>
   const T* generated(std::string_view name, std::size_t count, const Fill& fill) {
-    T* copy = zeros<T>(name, count);
-    if (count == 0) return copy;
-    std::vector<T> items(count);
-    fill(items.data());
-    check(cudaMemcpy(copy, items.data(), count * sizeof(T), cudaMemcpyHostToDevice), "upload");
-    return copy;
+    return filled<T>(name, count, fill);
   }
   template <class T>
   T* zeros(std::string_view, std::size_t count) {
@@ -63,6 +58,15 @@ class DeviceArena {
   }
 
  private:
+  template <class T, class Fill>
+  T* filled(std::string_view name, std::size_t count, const Fill& fill) {
+    T* copy = zeros<T>(name, count);
+    if (count == 0) return copy;
+    std::vector<T> items(count);
+    fill(items.data());
+    check(cudaMemcpy(copy, items.data(), count * sizeof(T), cudaMemcpyHostToDevice), "upload");
+    return copy;
+  }
   /// Returns cleared memory that is aligned for every type.
   void* take(std::size_t bytes) {
     constexpr std::size_t kAlignment = 256, kBlockBytes = std::size_t{2} << 20;
@@ -115,7 +119,7 @@ class StepInputs {
   template <class T>
   struct Item {
     T* host;
-    const T* device;
+    T* device;
   };
   /// bytes: the sum of bytes_of() over all items that add() will be asked for.
   explicit StepInputs(std::size_t bytes, DeviceArena& arena)
@@ -130,7 +134,7 @@ class StepInputs {
   Item<T> add(std::size_t count) {
     const std::size_t at = used_;
     used_ += bytes_of<T>(count);
-    return {reinterpret_cast<T*>(host_.data() + at), reinterpret_cast<const T*>(device_ + at)};
+    return {reinterpret_cast<T*>(host_.data() + at), reinterpret_cast<T*>(device_ + at)};
   }
   cudaError_t upload(cudaStream_t stream) const {
     return cudaMemcpyAsync(device_, host_.data(), host_.bytes(), cudaMemcpyHostToDevice, stream);

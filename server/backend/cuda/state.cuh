@@ -71,7 +71,7 @@ class CudaState final : public SceneState {
         broken_(model.ties.spring_count()),
         external_(loads_change(model) ? model.external.size() : 0),
         faces_(loads_change(model) ? model.pressure.faces.size() : 0),
-        view_(model::bind<Real>(model, arena_, exchange())),
+        bound_(model::bind<Real>(model, arena_, exchange())),
         load_factors_(model) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
     std::uint32_t largest = 0;
@@ -105,8 +105,8 @@ class CudaState final : public SceneState {
     write_tools(model_, input, view_.contact.samples, tools_.host);
     write_prescribed(model_, input, prescribed_.host);
     if (load_factors_.write(model_, input, external_.data(), faces_.data())) {
-      upload_pinned(view_.state.external, external_, "loads");
-      upload_pinned(view_.pressure.faces, faces_, "loads");
+      upload_pinned(bound_.inputs.external, external_, "loads");
+      upload_pinned(bound_.inputs.faces, faces_, "loads");
     }
     *control_.host = checkpoint_.begin(model_, input);
     StepResult result;
@@ -361,7 +361,7 @@ class CudaState final : public SceneState {
       check(inputs_.upload(stream()), "inputs of the step");
     }
     if (phase == Phase::kEvaluate || phase == Phase::kBacktrack)
-      upload_pinned(view_.newton.control, newton_, "Newton's control");
+      upload_pinned(bound_.inputs.newton, newton_, "Newton's control");
     for (const step::Stage& stage : stages_) {
       if (stage.info->phase == phase) launch_stage(stage);
     }
@@ -369,9 +369,9 @@ class CudaState final : public SceneState {
   }
 
   template <class T>
-  void upload_pinned(const T* to, const Pinned<T>& from, const char* what) {
+  void upload_pinned(T* to, const Pinned<T>& from, const char* what) {
     if (from.size() == 0) return;
-    check(cudaMemcpyAsync(const_cast<T*>(to), from.data(), from.bytes(), cudaMemcpyHostToDevice, stream()), what);
+    check(cudaMemcpyAsync(to, from.data(), from.bytes(), cudaMemcpyHostToDevice, stream()), what);
   }
   template <class T>
   void download_pinned(const Pinned<T>& to, const T* from) {
@@ -402,7 +402,8 @@ class CudaState final : public SceneState {
   Pinned<Real> broken_;                     // [spring_count]
   Pinned<Real> external_;                   // [row_count, 4]; empty unless loads_change()
   Pinned<view::PressureFace<Real>> faces_;  // likewise
-  const view::SceneView<Real> view_;
+  const model::BoundScene<Real> bound_;
+  const view::SceneView<Real>& view_ = bound_.view;
   std::vector<view::ElementView<Real>> groups_;
   unsigned threads_ = 0;
   SolvePlan solve_plan_;
