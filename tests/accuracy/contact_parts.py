@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from tensormass._src.enums import short_name
+from tensormass._shared.enums import short_name
 from tensormass._src.launching import launch
 from tensormass.v1 import scene_pb2
 

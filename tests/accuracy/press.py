@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tensormass._src.errors import TensormassError
+from tensormass._shared.errors import TensormassError
 from tensormass._src.launching import launch
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2

@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 
 import tensormass as tm
+from tensormass._shared.errors import TensormassError
 from tensormass._src import mesh_files
-from tensormass._src.errors import TensormassError
 from tensormass._src.launching import launch
 from tensormass._src.meshes import FloatArray
-from tensormass._src.organ import HELD, ORGANS
-from tensormass._src.packing import volume_mesh
+from tensormass._src.organ import ORGANS, Organ
+from tensormass._src.packing import body_mesh
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.server import Server
 from tensormass.v1 import scene_pb2
@@ -177,8 +177,8 @@ def _press(server: Server, knobs: Knobs, part: Part) -> Pressed:
     body = knobs.message.bodies[0]
     with server.load(tm.Scene(message=scene), lockstep=True) as run:
         rest = run.positions(body.name)
-        mesh = replace(volume_mesh(scene.bodies[0]), nodes=rest)
-        at_points = Interpolation(mesh, volume_mesh(body).nodes)
+        mesh = replace(body_mesh(scene.bodies[0]), nodes=rest)
+        at_points = Interpolation(mesh, body_mesh(body).nodes)
         for way in shares:
             for share in way:
                 run.move_tool(script.tool or "", start + share * travel)
@@ -198,7 +198,7 @@ def _scene(knobs: Knobs, part: Part) -> scene_pb2.Scene:
         mesh = organ.unfitted(graded=False)
         held = np.flatnonzero(organ.held(mesh.nodes) >= 0).astype(np.uint32)
         path = knobs.mesh_folder / "not-fitted.msh"
-        mesh_files.write_mesh(path, replace(mesh, sets={HELD: held}))
+        mesh_files.write_mesh(path, replace(mesh, sets={Organ.HELD: held}))
         fields["bodies"][0]["mesh"]["file"] = str(path)
     scene = replace(file, fields=fields).message()
     scene.tools[0].spherical_probe.penalty_stiffness_pa_per_m = part.penalty * PENALTY_PA_PER_M
@@ -212,7 +212,7 @@ def _scene(knobs: Knobs, part: Part) -> scene_pb2.Scene:
 
 
 def _errors(knobs: Knobs, found: Pressed, limit: Pressed) -> dict[str, float]:
-    weights = node_volumes(volume_mesh(knobs.message.bodies[0]))
+    weights = node_volumes(body_mesh(knobs.message.bodies[0]))
     differences, sizes = (
         sum(float(weights @ (u**2).sum(axis=1)) for u in fields)
         for fields in (

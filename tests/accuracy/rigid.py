@@ -31,9 +31,9 @@ from tensormass._src.meshes import FloatArray
 from tensormass._src.organ import ORGANS, liver
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.server import Server
-from tensormass._src.tools import movable_tools, radius_m, shape_of
 from tensormass.v1 import scene_pb2
 from tensormass_tools.presets import FOR_BACKEND
+from tensormass_tools.tool_sizes import movable_tools, radius_m, shape_of
 from tensormass_tools.trade.knobs import Knobs
 from tensormass_tools.trade.knobs import Setting as Values
 

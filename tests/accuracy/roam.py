@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 import tensormass as tm
+from tensormass._shared.cache import cache_folder
 from tensormass._src import mesh_files
-from tensormass._src.demo import cache_folder
 from tensormass._src.launching import launch
 from tensormass._src.meshes import FloatArray
 from tensormass._src.organ import ORGANS, liver

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 
 from .case import Case
 from .cases import all_cases

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 
 from . import calibration
 from .calibration import CASES, Run

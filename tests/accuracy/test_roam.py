@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 from tensormass._src.interface import qualities
 from tensormass._src.mesh_geometry import boundary_triangles, signed_volumes
 from tensormass._src.organ import ORGANS, liver, liver_held

@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-from tensormass._src.processes import BUILD_BIN
+from tensormass._shared.processes import BUILD_BIN
 from tensormass._src.scene_file import SceneFile
 from tensormass_tools import presets
 from tensormass_tools.cli import main as tensormass

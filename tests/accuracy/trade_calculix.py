@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from tensormass._src import defaults
+from tensormass._shared import defaults
 from tensormass._src.meshes import VolumeMesh
-from tensormass._src.packing import volume_mesh
+from tensormass._src.packing import body_mesh
 from tensormass._src.scene_file import SceneFile
 from tensormass_tools.trade import report, sweep
 from tensormass_tools.trade.interpolation import Interpolation
@@ -89,7 +89,7 @@ class Beam:
         self.message = knobs.message
         (self.body,) = self.message.bodies
         self.own_dt_s = defaults.dt_s(self.message)
-        mesh = volume_mesh(self.body)
+        mesh = body_mesh(self.body)
         self.points, self.weights = mesh.nodes, node_volumes(mesh)
         grid = self.body.mesh.grid
         self.cells = (grid.cells_x, grid.cells_y, grid.cells_z)

@@ -29,7 +29,7 @@ pytest.importorskip("cryptography", reason="needs the extra `keys`")
 from attack_parts import DEADLINE_S, IN_AIR_M, block, wait_for
 
 import tensormass as tm
-from tensormass._src.client_keys import ClientKeys, channel_options, date_of, write_secret
+from tensormass._shared.client_keys import ClientKeys, channel_options, date_of, write_secret
 from tensormass._src.poses import PoseSequence
 from tensormass._src.streams import Transport
 from tensormass.v1 import control_pb2, control_pb2_grpc

@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 
 
 @pytest.fixture(params=[("tensormassd", "TENSORMASSD"), ("tensormass-haptic", "TENSORMASS_HAPTIC")], ids=lambda p: p[0])

@@ -18,7 +18,7 @@ pytest.importorskip("cryptography", reason="needs the extra `keys`")
 
 from attack_parts import wait_for
 
-from tensormass._src.processes import find_program
+from tensormass._shared.processes import find_program
 
 PAGE = Path(__file__).parents[2] / "docs/security.md"
 TRAINER, CONSOLE = "192.0.2.1", "192.0.2.2"

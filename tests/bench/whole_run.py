@@ -21,8 +21,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tensormass._src import defaults
-from tensormass._src.packing import volume_mesh
+from tensormass._shared import defaults
+from tensormass._src.packing import body_mesh
 from tensormass._src.scene import Scene
 from tensormass._src.scene_file import SceneFile
 from tensormass_tools import load_arguments, load_report, load_test
@@ -53,7 +53,7 @@ def measure(args: argparse.Namespace, scenes: int, scene_file: Path, seconds: fl
     message = Scene.from_file(scene_file).message
     return {
         "case": f"whole run: {args.scene}",
-        "elements": sum(volume_mesh(body).element_count for body in message.bodies),
+        "elements": sum(body_mesh(body).element_count for body in message.bodies),
         "dt_ms": round(1e3 * defaults.dt_s(message), 4),
         "viewers": args.viewers,
         "transport": args.transport,

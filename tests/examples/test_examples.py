@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"

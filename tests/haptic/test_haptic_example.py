@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 
 BLOCK = """
 name: block

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 import tensormass as tm
-from tensormass._src.errors import NotFoundError
-from tensormass._src.processes import ChildProcess, find_program
+from tensormass._shared.errors import NotFoundError
+from tensormass._shared.processes import ChildProcess, find_program
 from tensormass_tools import load_arguments, load_test
 from tensormass_tools.cli import main
 

@@ -7,8 +7,8 @@ import argparse
 import numpy as np
 import pytest
 
+from tensormass._shared.errors import InvalidArgumentError
 from tensormass._src.durations import index_of, upper_ns
-from tensormass._src.errors import InvalidArgumentError
 from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_tools import load_arguments, load_report, load_test
 

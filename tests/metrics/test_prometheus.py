@@ -20,7 +20,7 @@ import yaml
 from metrics_parts import DOCKER, baseline, families, program
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 from tensormass.v1 import control_pb2
 from tensormass_gateway.gateway import serve
 from tensormass_gateway.options import GatewayOptions

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 
 
 @contextlib.contextmanager

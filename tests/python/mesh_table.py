@@ -25,8 +25,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tensormass._shared.errors import TensormassError
 from tensormass._src import mesh_files, mesh_geometry
-from tensormass._src.errors import TensormassError
 from tensormass._src.mesh_formats.reading import READERS
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")

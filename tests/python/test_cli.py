@@ -22,9 +22,9 @@ import pytest
 from conftest import Recorder
 
 import tensormass as tm
+from tensormass._shared.plain import to_plain
+from tensormass._shared.processes import ChildProcess, end_explained
 from tensormass._src import mesh_files, mesh_geometry, meshes
-from tensormass._src.plain import to_plain
-from tensormass._src.processes import ChildProcess, end_explained
 from tensormass.v1 import control_pb2, finding_pb2, guard_pb2, scene_pb2, stream_pb2
 from tensormass_tools import run
 from tensormass_tools.cli import main, parse_length_m
@@ -497,7 +497,7 @@ def test_the_end_of_the_commands_own_daemon_is_reported_with_its_log(tmp_path: P
 
 def test_mesh_fills_a_surface_in_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     corners = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) * 50.0  # mm
-    surface = mesh_geometry.boundary(meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]]))
+    surface = mesh_geometry.boundary_surface(meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]]))
     source = tmp_path / "surface.ply"
     meshio.Mesh(surface.vertices, [("triangle", surface.triangles.astype(np.int32))]).write(source)
     output = tmp_path / "volume.msh"
@@ -506,7 +506,7 @@ def test_mesh_fills_a_surface_in_its_unit(tmp_path: Path, capsys: pytest.Capture
     assert report["volume"] == pytest.approx(8 / 3 * 0.05**3, rel=0.02)
     assert report["mean_edge_length"] == pytest.approx(0.04, rel=0.8)
     assert report["inverted_count"] == 0
-    assert mesh_geometry.quality(mesh_files.read_mesh(output)).volume == pytest.approx(report["volume"])
+    assert mesh_geometry.mesh_quality(mesh_files.read_mesh(output)).volume == pytest.approx(report["volume"])
 
 
 def test_mesh_repairs_a_volume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -522,7 +522,7 @@ def test_mesh_repairs_a_volume(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 def test_mesh_refuses_what_it_could_not_do_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     corners = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) * 50.0  # mm
-    surface = mesh_geometry.boundary(meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]]))
+    surface = mesh_geometry.boundary_surface(meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]]))
     source, volume = tmp_path / "surface.obj", tmp_path / "volume.msh"
     mesh_files.write_surface(source, surface)
     # An edge of 8 mm for a surface of 100 m, which would keep the mesher busy for hours.

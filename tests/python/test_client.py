@@ -23,7 +23,7 @@ from conftest import Recorder
 from fake_daemon import FakeDaemon, fake_daemon, frame_of, triangle_topology
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 DEADLINE_S = 60.0
@@ -393,7 +393,7 @@ def test_a_child_ends_with_its_parent_however_that_ends(tmp_path: Path, how: sig
         [
             sys.executable,
             "-c",
-            "import subprocess, threading; from tensormass._src.processes import ChildProcess\n"
+            "import subprocess, threading; from tensormass._shared.processes import ChildProcess\n"
             "def start():\n"  # runs in a thread that ends at once
             "    child = ChildProcess(['sleep', '600'], output=subprocess.DEVNULL)\n"
             "    print(child.process.pid, flush=True)\n"

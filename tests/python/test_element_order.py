@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import tensormass as tm
-from tensormass._src import meshes, processes
-from tensormass._src.packing import volume_mesh
+from tensormass._shared import processes
+from tensormass._src import meshes
+from tensormass._src.packing import body_mesh
 from tensormass.v1 import scene_pb2
 from tensormass_tools.output import report_text
 
@@ -36,7 +37,7 @@ def scene_of(**options: object) -> tm.Scene:
 def test_the_daemon_numbers_the_nodes_as_the_sdk_does(server: tm.Server) -> None:
     scene = scene_of()
     handle = server.load(scene, lockstep=True)
-    np.testing.assert_array_equal(handle.positions("body"), 0.5 * volume_mesh(scene.message.bodies[0]).nodes)
+    np.testing.assert_array_equal(handle.positions("body"), 0.5 * body_mesh(scene.message.bodies[0]).nodes)
     assert len(handle.positions("body")) == 7 * 5 * 5
     assert len(handle.fields("body", ["von_mises_stress"])["von_mises_stress"]) == 3 * 2 * 2 * 6
     assert handle.report is not None
@@ -52,7 +53,7 @@ def test_the_boundary_follows_a_skin(server: tm.Server) -> None:
     roof = meshes.TriangleSurface.from_arrays(roof_of, [[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4]])
     scene = scene_of(skin=roof)
     handle = server.load(scene, lockstep=True)
-    moved = handle.positions("body") - 0.5 * volume_mesh(scene.message.bodies[0]).nodes
+    moved = handle.positions("body") - 0.5 * body_mesh(scene.message.bodies[0]).nodes
     handle.unload()
     raised = np.flatnonzero(np.linalg.norm(moved, axis=1) > 1e-4)
     assert len(raised) > 0

@@ -10,7 +10,7 @@ import pytest
 from google.protobuf import json_format
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2
 from tensormass_tools.cli import main
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tensormass._src.extras import EXTRAS
+from tensormass._shared.extras import EXTRAS
 
 CODE = Path(__file__).resolve().parents[2] / "clients" / "python"
 DAEMON = CODE.parents[1] / "build" / "bin" / "tensormassd"

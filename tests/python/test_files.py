@@ -10,8 +10,8 @@ import meshio
 import numpy as np
 import pytest
 
+from tensormass._shared.files import replacing
 from tensormass._src import mesh_files
-from tensormass._src.files import replacing
 
 
 def test_a_file_is_there_only_when_it_is_whole(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 from service_parts import DEADLINE_S, block
 
 import tensormass as tm
+from tensormass._shared.findings import code_of, of_results, text_of
 from tensormass._src import findings
 from tensormass.v1 import control_pb2, finding_pb2, stream_pb2
 from tensormass_tools.cli import main
@@ -72,7 +73,7 @@ def test_a_warning_has_everything_of_a_finding() -> None:
 
 
 def test_a_code_of_a_newer_daemon_is_its_number() -> None:
-    assert findings.code_of(finding_pb2.Finding(code=999)) == "999"  # type: ignore[arg-type]
+    assert code_of(finding_pb2.Finding(code=999)) == "999"  # type: ignore[arg-type]
 
 
 def test_accepted_findings_warn_nobody() -> None:
@@ -86,7 +87,7 @@ def test_accepted_findings_warn_nobody() -> None:
 def test_findings_of_the_load_are_not_about_results() -> None:
     result = finding("FINDING_CODE_INVERTED_ELEMENTS")
     accepted = finding("FINDING_CODE_LAW_RANGE", accepted="a test")
-    assert findings.of_results(stream_pb2.SceneStatus(findings=[finding(), result, accepted])) == [result]
+    assert of_results(stream_pb2.SceneStatus(findings=[finding(), result, accepted])) == [result]
 
 
 def test_a_scene_accepts_a_finding_by_name() -> None:
@@ -147,7 +148,7 @@ def test_solves_that_end_above_their_tolerance_are_said_once_and_shown_while_the
         assert [one.message.code for one in caught if isinstance(one.message, tm.FindingWarning)] == [
             "solve_above_tolerance"
         ]
-        assert [findings.code_of(one) for one in status.findings] == ["solve_above_tolerance"]
+        assert [code_of(one) for one in status.findings] == ["solve_above_tolerance"]
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             assert len(handle.step().findings) == 1
@@ -160,7 +161,7 @@ def test_solves_that_end_above_their_tolerance_are_said_once_and_shown_while_the
 @pytest.mark.parametrize("name", tm.builtin_scenes())
 def test_a_builtin_scene_has_a_reason_beside_each_finding(name: str, server: tm.Server) -> None:
     report = server.inspect(name)
-    assert [findings.text_of(one) for one in report.findings if not one.accepted] == []
+    assert [text_of(one) for one in report.findings if not one.accepted] == []
     found = {one.code for one in report.findings}
     assert {one.code for one in tm.Scene.from_file(name).message.accepted_findings} <= found, "accepted for nothing"
 
@@ -206,7 +207,7 @@ def test_a_tool_inside_tissue_and_overlapping_bodies_are_found_by_name(server: t
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         report = server.inspect(scene)
-    found = {findings.code_of(one): one for one in report.findings}
+    found = {code_of(one): one for one in report.findings}
     assert found["tool_inside_tissue"].tool == "probe"
     assert (found["overlap"].body, found["overlap"].other) == ("tissue", "other")
     assert found["softening_law"].body == "tissue"

@@ -13,8 +13,8 @@ import pytest
 from conftest import Recorder
 
 import tensormass as tm
-from tensormass._src import defaults
-from tensormass._src.processes import ChildProcess
+from tensormass._shared import defaults
+from tensormass._shared.processes import ChildProcess
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 from tensormass_tools import fit_scene, fits, fitting, presets, priority, run

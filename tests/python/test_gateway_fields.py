@@ -14,7 +14,7 @@ from fake_daemon import fake_daemon, frame_of
 from gateway_parts import browse, options
 
 import tensormass as tm
-from tensormass._src.packing import volume_mesh
+from tensormass._src.packing import body_mesh
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 from tensormass_gateway.fields import FieldPoll
 from tensormass_gateway.gateway import serve
@@ -46,7 +46,7 @@ def replies(*values: float) -> dict[str, control_pb2.GetFieldsResponse]:
 
 def test_rest_positions_of_nodes_are_scaled_and_moved() -> None:
     scene, topology = cube()
-    nodes = volume_mesh(scene.bodies[0]).nodes
+    nodes = body_mesh(scene.bodies[0]).nodes
     np.testing.assert_allclose(rest_positions(scene, topology), (2 * nodes + [10, 0, 0])[::-1])
 
 
@@ -57,7 +57,7 @@ def test_rest_positions_of_a_skin_are_scaled_and_moved_like_the_mesh() -> None:
 
 def test_node_between_two_elements_has_their_mean() -> None:
     scene, topology = cube()
-    x = volume_mesh(scene.bodies[0]).nodes[::-1, 0]
+    x = body_mesh(scene.bodies[0]).nodes[::-1, 0]
     expected = np.where(x == 0, 1.0, np.where(x == 2, 3.0, 2.0))
     np.testing.assert_allclose(SurfaceMap(scene, topology).values("von_mises", replies(1, 3)), expected)
 

@@ -15,7 +15,7 @@ pytest.importorskip("cryptography", reason="needs the extra `keys`")
 from asynchronous import asynchronous
 from gateway_parts import OPERATOR_TOKEN, TOKEN, options, origin
 
-from tensormass._src.client_keys import ClientKeys
+from tensormass._shared.client_keys import ClientKeys
 from tensormass_gateway import entry
 from tensormass_gateway.command import tell_next_addresses
 from tensormass_gateway.gateway import Gateway, serve

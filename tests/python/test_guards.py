@@ -13,7 +13,7 @@ import pytest
 from conftest import full_disk
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 from tensormass.v1 import scene_pb2
 from tensormass_tools.cli import main
 from tensormass_tools.output import state_name, status_line

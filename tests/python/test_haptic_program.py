@@ -22,7 +22,7 @@ import pytest
 import zmq
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 
 try:

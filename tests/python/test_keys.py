@@ -18,7 +18,7 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 import tensormass as tm
-from tensormass._src.client_keys import CLOCK_SKEW_S, ClientKeys
+from tensormass._shared.client_keys import CLOCK_SKEW_S, ClientKeys
 from tensormass_tools import cli
 from tensormass_tools.keys.folder import ROLES, KeyFolder
 

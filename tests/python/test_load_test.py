@@ -18,7 +18,7 @@ import pytest
 from conftest import full_disk
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 from tensormass._src.meshes import FloatArray
 from tensormass.v1 import control_pb2, stream_pb2
 from tensormass_tools import load_report, load_test, load_viewer

@@ -11,8 +11,8 @@ import pytest
 from conftest import full_disk
 from test_meshes import CUBE, CUBE_QUADS, enclosed_volume, mixed_mesh, regular_tetrahedron
 
+from tensormass._shared.errors import InvalidArgumentError, NotFoundError
 from tensormass._src import grids, mesh_files, mesh_geometry, meshes
-from tensormass._src.errors import InvalidArgumentError, NotFoundError
 from tensormass._src.shapes import SHAPES
 
 pytestmark = pytest.mark.filterwarnings("ignore::tensormass.MeshFileWarning")
@@ -90,7 +90,7 @@ def test_reads_the_shared_liver_in_gmsh1() -> None:
     mesh = mesh_files.read_mesh(shared_mesh("liver.msh"))
     assert mesh.nodes.shape == (181, 3)
     assert mesh.elements("tetrahedron").shape == (596, 4)
-    assert mesh_geometry.quality(mesh).inverted_count == 0
+    assert mesh_geometry.mesh_quality(mesh).inverted_count == 0
 
 
 @pytest.mark.parametrize("ending", ["msh", "vtk", "vtu"])

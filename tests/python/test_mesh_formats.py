@@ -11,8 +11,8 @@ import mesh_texts as texts
 import numpy as np
 import pytest
 
+from tensormass._shared.errors import InvalidArgumentError, MeshFileWarning
 from tensormass._src import mesh_files, mesh_reading, meshes
-from tensormass._src.errors import InvalidArgumentError, MeshFileWarning
 from tensormass._src.mesh_formats import limits
 
 pytestmark = pytest.mark.filterwarnings("ignore::tensormass.MeshFileWarning")

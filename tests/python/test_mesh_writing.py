@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tensormass._shared.errors import InvalidArgumentError, MeshFileWarning
 from tensormass._src import grids, mesh_files, mesh_geometry, meshes
-from tensormass._src.errors import InvalidArgumentError, MeshFileWarning
 from tensormass._src.shapes import SHAPES
 
 VOLUME = 2.0

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tensormass._shared.components import components
+from tensormass._shared.errors import InvalidArgumentError
 from tensormass._src import grids, mesh_geometry, mesh_repair, meshes, tetwild
 from tensormass._src.elevate import elevated
-from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.shapes import SHAPES
 
 CUBE = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
@@ -68,7 +69,7 @@ def test_arrays_that_make_no_mesh_are_refused(nodes: object, tetrahedra: object,
 
 
 def test_quality_of_the_regular_tetrahedron() -> None:
-    quality = mesh_geometry.quality(regular_tetrahedron())
+    quality = mesh_geometry.mesh_quality(regular_tetrahedron())
     assert quality.volume == pytest.approx(8 / 3)
     assert quality.mean_edge_length == pytest.approx(np.sqrt(8))
     np.testing.assert_allclose(mesh_geometry.dihedral_angles_deg(regular_tetrahedron()), np.degrees(np.arccos(1 / 3)))
@@ -79,7 +80,7 @@ def test_boundary_is_closed_outward_and_compact() -> None:
     mesh = regular_tetrahedron()
     nodes = np.vstack([[[9, 9, 9]], mesh.nodes])
     unused = meshes.VolumeMesh.from_tetrahedra(nodes, mesh.elements("tetrahedron") + 1)
-    surface = mesh_geometry.boundary(unused)
+    surface = mesh_geometry.boundary_surface(unused)
     assert len(surface.vertices) == 4
     assert enclosed_volume(surface) == pytest.approx(8 / 3)
 
@@ -90,8 +91,8 @@ def test_repair_rewinds_drops_flat_and_keeps_the_largest_component() -> None:
     far = [[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9], [9, 9, 9.1]]
     tetrahedra = [[0, 1, 2, 3], [1, 3, 2, 4], [0, 1, 2, 5], [6, 7, 8, 9]]
     mesh = meshes.VolumeMesh.from_tetrahedra([*corners, *far, [5.0, 5, 5]], tetrahedra)
-    assert mesh_geometry.quality(mesh).inverted_count == 2
-    repaired = mesh_repair.repair(mesh)
+    assert mesh_geometry.mesh_quality(mesh).inverted_count == 2
+    repaired = mesh_repair.repair_mesh(mesh)
     assert repaired.nodes.shape == (5, 3)
     np.testing.assert_allclose(mesh_geometry.signed_volumes(repaired), [1 / 6, 1 / 3])
 
@@ -101,7 +102,7 @@ def test_repair_keeps_the_most_volume_in_whatever_unit(scale: float) -> None:
     crumb = np.array([[5, 5, 5], [5.1, 5, 5], [5, 5.1, 5], [5, 5, 5.1], [5.1, 5.1, 5.1]])
     nodes = np.concatenate([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], crumb])
     mesh = meshes.VolumeMesh.from_tetrahedra(scale * nodes, [[4, 5, 6, 7], [5, 7, 6, 8], [0, 1, 2, 3]])
-    np.testing.assert_allclose(mesh_geometry.signed_volumes(mesh_repair.repair(mesh)), [scale**3 / 6])
+    np.testing.assert_allclose(mesh_geometry.signed_volumes(mesh_repair.repair_mesh(mesh)), [scale**3 / 6])
 
 
 def test_volume_under_a_warped_side_is_exact() -> None:
@@ -114,15 +115,15 @@ def test_volume_under_a_warped_side_is_exact() -> None:
 def test_components_of_a_long_chain_are_one() -> None:
     chain = np.arange(2000)[:, None] + np.arange(4)[None, :]
     shuffled = np.random.default_rng(1).permutation(2003)[chain]
-    assert len(np.unique(mesh_repair.components(2003, [shuffled]))) == 1
-    assert len(np.unique(mesh_repair.components(2003, [np.delete(shuffled, range(999, 1002), axis=0)]))) == 2
+    assert len(np.unique(components(2003, [shuffled]))) == 1
+    assert len(np.unique(components(2003, [np.delete(shuffled, range(999, 1002), axis=0)]))) == 2
 
 
 def test_a_closed_surface_becomes_a_volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     triangles = np.concatenate([CUBE_QUADS[:, [0, 1, 2]], CUBE_QUADS[:, [0, 2, 3]]])
     volume = tetwild.tetrahedralize(meshes.TriangleSurface.from_arrays(CUBE, triangles), 0.25)
-    quality = mesh_geometry.quality(volume)
+    quality = mesh_geometry.mesh_quality(volume)
     assert quality.volume == pytest.approx(1.0, rel=0.02)
     assert quality.inverted_count == 0
     assert quality.min_dihedral_angle_deg > 5
@@ -131,7 +132,7 @@ def test_a_closed_surface_becomes_a_volume(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_an_edge_that_does_not_fit_the_surface_is_refused() -> None:
-    surface = mesh_geometry.boundary(regular_tetrahedron())
+    surface = mesh_geometry.boundary_surface(regular_tetrahedron())
     diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
     for edge in (0.0, -1.0, diagonal, 1000.0, np.nan):
         with pytest.raises(InvalidArgumentError, match="edge length"):
@@ -148,11 +149,11 @@ def test_a_grid_fills_its_box_and_its_boundary_is_closed(shape: str) -> None:
     np.testing.assert_allclose(mesh.nodes.max(axis=0), [3, 6, -0.5])
     assert len(np.unique(mesh.nodes, axis=0)) == len(mesh.nodes)
     assert np.array_equal(np.unique(mesh.blocks[0].nodes), np.arange(len(mesh.nodes)))
-    quality = mesh_geometry.quality(mesh)
+    quality = mesh_geometry.mesh_quality(mesh)
     assert quality.element_counts == {shape: mesh.element_count}
     assert quality.volume == pytest.approx(6.0)
     assert quality.inverted_count == 0
-    surface = mesh_geometry.boundary(mesh)
+    surface = mesh_geometry.boundary_surface(mesh)
     assert enclosed_volume(surface) == pytest.approx(6.0)
     assert len(surface.triangles) == 2 * 2 * (2 * 3 + 3 * 1 + 2 * 1)
 
@@ -210,10 +211,10 @@ def test_a_linear_tetrahedron_made_quadratic_takes_the_middles_of_quadratic_ones
 
 def test_boundary_and_volume_of_a_mixed_mesh() -> None:
     mesh = mixed_mesh()
-    surface = mesh_geometry.boundary(mesh)
+    surface = mesh_geometry.boundary_surface(mesh)
     assert (len(surface.vertices), len(surface.triangles)) == (18, 32)  # a sphere: 18 - 48 + 32 = 2
     assert enclosed_volume(surface) == pytest.approx(3.395)
-    quality = mesh_geometry.quality(mesh)
+    quality = mesh_geometry.mesh_quality(mesh)
     assert quality.volume == pytest.approx(3.395)
     assert quality.element_counts == {"hexahedron": 1, "pyramid": 7, "wedge": 2, "tetrahedron": 1}
     assert quality.min_dihedral_angle_deg == pytest.approx(45)
@@ -229,10 +230,10 @@ def mirrored(mesh: meshes.VolumeMesh) -> meshes.VolumeMesh:
 def test_repair_rewinds_every_shape(shape: str) -> None:
     grid = grids.grid([2, 1, 1], [2.0, 1.0, 1.0], shape=shape)
     inverted = mirrored(grid)
-    assert mesh_geometry.quality(inverted).inverted_count == grid.element_count
-    repaired = mesh_repair.repair(inverted)
-    assert mesh_geometry.quality(repaired).inverted_count == 0
-    assert mesh_geometry.quality(repaired).volume == pytest.approx(2.0)
+    assert mesh_geometry.mesh_quality(inverted).inverted_count == grid.element_count
+    repaired = mesh_repair.repair_mesh(inverted)
+    assert mesh_geometry.mesh_quality(repaired).inverted_count == 0
+    assert mesh_geometry.mesh_quality(repaired).volume == pytest.approx(2.0)
     np.testing.assert_array_equal(repaired.nodes, inverted.nodes)
     if shape in MIDDLES:
         assert_middles_are_in_the_middle(repaired, shape)
@@ -247,7 +248,7 @@ def test_repair_takes_sets_and_fields_along() -> None:
         sets={"a": [0, 1, 5, 12], "far": [1, 2]},
         element_fields={"young_modulus_pa": [1.0, 2.0, 3.0]},
     )
-    repaired = mesh_repair.repair(mesh)
+    repaired = mesh_repair.repair_mesh(mesh)
     assert {name: nodes.tolist() for name, nodes in repaired.sets.items()} == {"a": [0, 7]}
     assert repaired.element_fields["young_modulus_pa"].tolist() == [2.0, 3.0]
 
@@ -258,7 +259,7 @@ def test_a_corner_that_is_turned_in_is_counted() -> None:
     dented[7] = [0.2, 0.2, 0.2]  # beyond the middle, with most of the volume left
     mesh = replace(box, nodes=dented)
     assert mesh_geometry.signed_volumes(mesh)[0] > 0
-    assert mesh_geometry.quality(mesh).inverted_count == 1
+    assert mesh_geometry.mesh_quality(mesh).inverted_count == 1
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tensormass as tm
-from tensormass._src.packing import middle_ends, volume_mesh
+from tensormass._src.packing import body_mesh, middle_ends
 from tensormass.v1 import scene_pb2
 
 MESH = tm.grid([2, 1, 1], [0.2, 0.1, 0.1])
@@ -256,7 +256,7 @@ def test_each_node_takes_its_own_displacement_in_its_axes(server: tm.Server, ord
 
 def test_middles_of_edges_have_the_ends_that_their_positions_say() -> None:
     body = bar(element_order="quadratic").body("bar")
-    nodes = volume_mesh(body).nodes
+    nodes = body_mesh(body).nodes
     np.testing.assert_allclose(nodes[COUNT:], MESH.nodes[middle_ends(body)].mean(axis=1))
 
 

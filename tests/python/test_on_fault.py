@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import tensormass as tm
-from tensormass._src import defaults
+from tensormass._shared import defaults
 from tensormass.v1 import guard_pb2, scene_pb2
 
 

@@ -15,10 +15,11 @@ import surfaces
 import yaml
 
 import tensormass as tm
-from tensormass._src import extras, mesh_files, mesh_geometry, segment_surface
+from tensormass._shared import extras
+from tensormass._src import mesh_files, mesh_geometry
 from tensormass._src.meshes import TriangleSurface, VolumeMesh
 from tensormass._src.scene import Scene
-from tensormass_tools import organ_bodies, organ_scene, tissues
+from tensormass_tools import organ_bodies, organ_scene, segment_surface, tissues
 from tensormass_tools.cli import main
 
 pytestmark = pytest.mark.skipif(
@@ -47,7 +48,7 @@ def _mesh(path: Path) -> VolumeMesh:
     """Reads a mesh that was written: closed, and without inverted elements."""
     mesh = mesh_files.read_mesh(path)
     assert (mesh_geometry.signed_volumes(mesh) > 0).all()
-    assert segment_surface.open_edges(mesh_geometry.boundary(mesh).triangles) == 0
+    assert segment_surface.open_edges(mesh_geometry.boundary_surface(mesh).triangles) == 0
     return mesh
 
 
@@ -59,7 +60,7 @@ def _center(mesh: VolumeMesh) -> files.Floats:
 def _check_shape(mesh: VolumeMesh, voxels: np.ndarray[Any, Any], affine: files.Floats) -> None:
     """The mesh has volume, centre and extent of label 1."""
     volume = np.count_nonzero(voxels == 1) * abs(np.linalg.det(affine[:3, :3]))
-    assert mesh_geometry.quality(mesh).volume == pytest.approx(volume, rel=0.02)
+    assert mesh_geometry.mesh_quality(mesh).volume == pytest.approx(volume, rel=0.02)
     np.testing.assert_allclose(_center(mesh), files.center_m(voxels, affine), atol=8e-4)
     # Each arm has its own length, so a turned or mirrored mesh has another extent along some axis of the image.
     index = np.argwhere(voxels == 1)
@@ -182,7 +183,7 @@ def test_overlaps_holes_and_parts_are_named(tmp_path: Path, capsys: pytest.Captu
     assert "1 hole of 1 voxel is filled" in said
     assert "1 hole of 216 voxels is kept as cavities; --fill-holes fills them" in said
     mesh = _mesh(tmp_path / "a_liver.msh")
-    assert mesh_geometry.quality(mesh).volume == pytest.approx((16**3 - 216) * 27e-9, rel=0.02)
+    assert mesh_geometry.mesh_quality(mesh).volume == pytest.approx((16**3 - 216) * 27e-9, rel=0.02)
     both = _organ(
         capsys,
         path,

@@ -27,12 +27,12 @@ def test_a_ball_is_filled_without_slivers_gaps_or_overlap(seed: int) -> None:
     radius, center = random.uniform(0.4, 0.9), random.uniform(-0.1, 0.1, 3)
     inside = ball(radius, center)
     mesh = isosurface.fill(inside, -BOX, BOX, 0.15)
-    quality = mesh_geometry.quality(mesh)
+    quality = mesh_geometry.mesh_quality(mesh)
     assert quality.inverted_count == 0
     assert quality.min_dihedral_angle_deg > 16
     assert mesh_geometry.dihedral_angles_deg(mesh).max() < 155
 
-    surface = mesh_geometry.boundary(mesh)
+    surface = mesh_geometry.boundary_surface(mesh)
     edge_count, uses = edge_counts(surface)
     assert uses == {2}
     assert len(surface.vertices) - edge_count + len(surface.triangles) == 2  # a sphere
@@ -51,7 +51,7 @@ def test_the_filling_is_the_same_every_time() -> None:
 
 def test_smoothing_widens_angles_and_stays_on_the_surface() -> None:
     inside = ball(0.8, np.zeros(3))
-    rough = mesh_geometry.boundary(isosurface.fill(inside, -BOX, BOX, 0.2))
+    rough = mesh_geometry.boundary_surface(isosurface.fill(inside, -BOX, BOX, 0.2))
     even = isosurface.smooth(rough, inside, step_m=1e-4)
     np.testing.assert_allclose(inside(even.vertices), 0, atol=1e-6)
 
@@ -88,15 +88,15 @@ def test_a_fitted_mesh_has_no_edge_across_the_interface(seed: int, cell: float) 
     assert (off > 1e-6 * cell).mean() < 0.1
     assert off.max() < 0.3 * cell
 
-    quality = mesh_geometry.quality(mesh)
+    quality = mesh_geometry.mesh_quality(mesh)
     assert quality.inverted_count == 0
     assert quality.min_dihedral_angle_deg > 6
     # The body is still whole: no gaps, no overlap, the volume that it had up to nodes that slid along the boundary.
-    surface = mesh_geometry.boundary(mesh)
+    surface = mesh_geometry.boundary_surface(mesh)
     assert edge_counts(surface)[1] == {2}
     a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
     assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(quality.volume, rel=1e-9)
-    assert quality.volume == pytest.approx(mesh_geometry.quality(whole).volume, rel=0.01)
+    assert quality.volume == pytest.approx(mesh_geometry.mesh_quality(whole).volume, rel=0.01)
 
 
 def test_an_interface_that_misses_the_mesh_changes_nothing() -> None:
@@ -111,11 +111,11 @@ def test_an_interface_that_misses_the_mesh_changes_nothing() -> None:
 def test_organs_are_whole_and_without_slivers(name: str, count: int) -> None:
     shape = organ.ORGANS[name]
     volume = shape.volume(graded=False)
-    quality = mesh_geometry.quality(volume)
+    quality = mesh_geometry.mesh_quality(volume)
     assert quality.element_counts["tetrahedron"] == pytest.approx(count, rel=0.1)
     assert quality.min_dihedral_angle_deg > 8
     assert quality.inverted_count == 0
-    assert mesh_repair.repair(volume).element_count == volume.element_count  # one component
+    assert mesh_repair.repair_mesh(volume).element_count == volume.element_count  # one component
     # The box does not cut the organ.
     assert (volume.nodes > shape.lower_m).all()
     assert (volume.nodes < shape.upper_m).all()
@@ -128,14 +128,14 @@ def test_skins_are_closed_fine_and_on_the_surface(name: str) -> None:
     _, uses = edge_counts(skin)
     assert uses == {2}
     assert np.abs(shape.inside(skin.vertices)).max() < 1e-5
-    assert len(skin.vertices) > 3 * len(mesh_geometry.boundary(shape.volume(graded=False)).vertices)
+    assert len(skin.vertices) > 3 * len(mesh_geometry.boundary_surface(shape.volume(graded=False)).vertices)
 
 
 def test_a_focus_makes_cells_smaller_where_it_is() -> None:
     shape = organ.ORGANS["liver"]
     assert shape.focus is not None
     volume = shape.volume(graded=True)
-    quality = mesh_geometry.quality(volume)
+    quality = mesh_geometry.mesh_quality(volume)
     assert quality.element_counts["tetrahedron"] == pytest.approx(15_000, rel=0.1)
     assert quality.inverted_count == 0
     assert quality.min_dihedral_angle_deg > 8  # drawn together, cells lose some of their angles

@@ -104,4 +104,6 @@ def documents() -> list[Path]:
 
 @pytest.mark.parametrize("file", documents(), ids=lambda file: str(file.relative_to(ROOT)))
 def test_documents_and_examples_use_public_names_only(file: Path) -> None:
-    assert "tensormass._src" not in file.read_text("utf-8")
+    text = file.read_text("utf-8")
+    assert "tensormass._src" not in text
+    assert "tensormass._shared" not in text

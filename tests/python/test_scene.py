@@ -12,9 +12,10 @@ import pytest
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass._src import defaults, demo, mesh_files, meshes, units
-from tensormass._src.names import as_name
-from tensormass._src.packing import pack_mesh, unpack_mesh, volume_mesh
+from tensormass._shared import defaults, units
+from tensormass._shared.names import as_name
+from tensormass._src import demo, mesh_files, meshes
+from tensormass._src.packing import body_mesh, pack_mesh, unpack_mesh
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2
 
@@ -293,7 +294,7 @@ def test_a_file_goes_before_a_builtin_scene_of_its_name(tmp_path: Path, monkeypa
 
 def test_a_grid_is_cut_where_its_message_puts_it() -> None:
     (body,) = tm.Scene.from_yaml(YAML).message.bodies
-    nodes = volume_mesh(body).nodes
+    nodes = body_mesh(body).nodes
     np.testing.assert_array_equal([nodes.min(axis=0), nodes.max(axis=0)], [[1, 0, 0], [2, 2, 3]])
 
 

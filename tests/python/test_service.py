@@ -154,7 +154,7 @@ def test_surface_is_the_meshs_boundary_at_its_nodes(load: Callable[..., tm.Scene
 def test_a_skin_is_seen_instead_and_carried_along(load: Callable[..., tm.SceneHandle]) -> None:
     nodes = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
     mesh = meshes.VolumeMesh.from_tetrahedra(nodes, [[0, 1, 2, 3]])
-    shell = mesh_geometry.boundary(mesh)
+    shell = mesh_geometry.boundary_surface(mesh)
     centre = nodes.mean(axis=0)
     skin = meshes.TriangleSurface(centre + 0.8 * (shell.vertices - centre), shell.triangles)
     scene = tm.Scene.from_mesh(mesh, gravity_m_per_s2=(0, 0, -9.81), skin=skin)

@@ -15,7 +15,7 @@ from service_parts import BLOCK, DEADLINE_S, block
 from test_client import wait_until
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 
 
 def test_launch_ends_its_daemon_cleanly() -> None:

@@ -11,13 +11,13 @@ from service_parts import block
 
 import tensormass as tm
 from tensormass._src import mesh_geometry, meshes
-from tensormass._src.tools import movable_tools, radius_m
 from tensormass_tools.hand import HandScript, script_of
+from tensormass_tools.tool_sizes import movable_tools, radius_m
 
 
 def tetrahedron(size_m: float) -> meshes.TriangleSurface:
     nodes = size_m * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    return mesh_geometry.boundary(meshes.VolumeMesh.from_tetrahedra(nodes, [[0, 1, 2, 3]]))
+    return mesh_geometry.boundary_surface(meshes.VolumeMesh.from_tetrahedra(nodes, [[0, 1, 2, 3]]))
 
 
 def test_solids_press_and_obstacles_stay(server: tm.Server) -> None:

@@ -16,7 +16,8 @@ from conftest import Recorder, full_disk
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass._src import grids, mesh_files, mesh_repair, meshes, processes
+from tensormass._shared import processes
+from tensormass._src import grids, mesh_files, mesh_repair, meshes
 from tensormass._src.fields import FIELD_NAMES, NODE_FIELDS
 from tensormass.v1 import control_pb2, finding_pb2, stream_pb2
 from tensormass_tools.cli import main

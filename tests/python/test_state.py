@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 from tensormass.v1 import stream_pb2
 
 DEADLINE_S = 60.0

@@ -16,8 +16,8 @@ import zenoh
 import zmq
 
 import tensormass as tm
+from tensormass._shared.endpoints import reached_endpoint, reached_endpoints
 from tensormass._src.data_plane import DataPlane
-from tensormass._src.endpoints import reached_endpoint, reached_endpoints
 from tensormass._src.poses import PoseSequence
 from tensormass._src.streams import Transport, stream_key
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2

@@ -16,7 +16,7 @@ import tensormass as tm
 from tensormass._src.fields import Fields
 from tensormass._src.mesh_geometry import signed_volumes
 from tensormass._src.meshes import FloatArray
-from tensormass._src.packing import volume_mesh
+from tensormass._src.packing import body_mesh
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 from tensormass_tools.trade import energy
@@ -89,7 +89,7 @@ class FormulaScene:
 
     def positions(self, body: str) -> FloatArray:
         (of,) = (of for of in self._scene.bodies if of.name == body)
-        rest = rest_nodes(of, volume_mesh(of).nodes)
+        rest = rest_nodes(of, body_mesh(of).nodes)
         return rest * [1, 1, 1 + stretch(self._step * self._scene.stepping.dt_s)]
 
     def fields(self, body: str) -> Fields:
@@ -218,7 +218,7 @@ def test_all_settings_are_looked_at_in_the_same_points_and_times(edit: tuple[str
     server = FormulaServer()
     got = record(changed, base, script, server)
     (displacement,) = got.displacement
-    points = rest_nodes(base.bodies[0], volume_mesh(base.bodies[0]).nodes)
+    points = rest_nodes(base.bodies[0], body_mesh(base.bodies[0]).nodes)
     times = script.sample_s * np.arange(1, script.sample_count + 1)
     assert displacement.shape == (20, len(points), 3)
     expected = points[:, 2] * np.array([[stretch(t)] for t in times])
@@ -248,7 +248,7 @@ def test_points_stand_for_all_of_the_volume() -> None:
 def test_only_the_last_few_meshes_are_remembered() -> None:
     base = scene_of()
     recorder = Recorder(FormulaServer(), base, Script.of(base))  # type: ignore[arg-type]
-    volumes = [volume_mesh(scene_of(SCENE.replace("cells_x: 4", f"cells_x: {n}")).bodies[0]) for n in range(1, 7)]
+    volumes = [body_mesh(scene_of(SCENE.replace("cells_x: 4", f"cells_x: {n}")).bodies[0]) for n in range(1, 7)]
     taken = [recorder.interpolations([volume]) for volume in volumes]
     assert recorder.interpolations([volumes[-1]]) is taken[-1]
     assert recorder.interpolations([volumes[2]]) is taken[2]

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 from tensormass_tools.cli import main
 from tensormass_tools.trade import reference
 from tensormass_tools.trade.store import Machine

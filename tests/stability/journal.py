@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from tensormass._src.processes import BUILD_BIN, find_program
+from tensormass._shared.processes import BUILD_BIN, find_program
 
 from . import cases
 from .case import BROKEN, Verdict

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tensormass as tm
-from tensormass._src import defaults
+from tensormass._shared import defaults
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import stream_pb2
 from tensormass_tools.trade.knobs import Knobs

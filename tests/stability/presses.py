@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import tensormass as tm
-from tensormass._src import defaults
+from tensormass._shared import defaults
 
 from . import csv_rows
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
+from tensormass._shared import processes
 
 from . import contact_kinds
 from .contact_kinds import Case

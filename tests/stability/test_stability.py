@@ -17,7 +17,7 @@ import pytest
 import tensormass as tm
 from accuracy.engine import Engine
 from accuracy.laws import LAWS
-from tensormass._src import processes
+from tensormass._shared import processes
 from tensormass.v1 import scene_pb2
 from tensormass_tools.trade.small_strain import small_strain
 

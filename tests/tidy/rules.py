@@ -37,6 +37,13 @@ TOP_LEVEL = {
     "tests",
 }
 
+_PRIVATE = "tensormass._src"
+_WITHOUT_PRIVATE_IMPORTS = (
+    "clients/python/tensormass/_shared",
+    "clients/python/tensormass_gateway",
+    "clients/python/tensormass_tools",
+)
+
 _INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]*"([^"]+)"', re.MULTILINE)
 _BARE_MARK = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b")
 _LINK = re.compile(r"\]\(([^)\s]+)(?: \"[^\"]*\")?\)")
@@ -132,6 +139,27 @@ def orphans(sources: dict[PurePosixPath, str]) -> list[str]:
                 problems.append(f"{path}: nothing includes it")
         elif path.suffix in NATIVE and not any(path.name in lists.get(parent, "") for parent in path.parents):
             problems.append(f"{path}: no CMakeLists.txt builds it")
+    return problems
+
+
+def private_imports(path: PurePosixPath, text: str) -> list[str]:
+    """Gateway and tools import what is public in the SDK, or what it shares with them on purpose.
+
+    What is shared knows nothing of the private parts, so that these can change alone.
+    """
+    if path.suffix != ".py" or not any(folder in map(str, path.parents) for folder in _WITHOUT_PRIVATE_IMPORTS):
+        return []
+    problems = []
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Import | ast.ImportFrom):
+            continue
+        package = f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
+        modules = [f"{package}{alias.name}" for alias in node.names]
+        problems += [
+            f"{path}:{node.lineno}: imports {module}; take it from tensormass, or share it in tensormass._shared"
+            for module in modules
+            if f"{module}.".startswith(f"{_PRIVATE}.")
+        ]
     return problems
 
 

@@ -42,7 +42,14 @@ def check(texts: dict[PurePosixPath, str], rule: Callable[[PurePosixPath, str], 
 
 @pytest.mark.parametrize(
     "rule",
-    [rules.bare_marks, rules.full_option_names, rules.machine_paths, rules.source_length, writing.writing],
+    [
+        rules.bare_marks,
+        rules.full_option_names,
+        rules.machine_paths,
+        rules.private_imports,
+        rules.source_length,
+        writing.writing,
+    ],
     ids=lambda rule: rule.__name__,
 )
 def test_every_file_keeps(rule: Callable[[PurePosixPath, str], list[str]], texts: dict[PurePosixPath, str]) -> None:

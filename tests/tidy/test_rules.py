@@ -38,6 +38,26 @@ def test_full_option_names() -> None:
     assert rules.full_option_names(Path("a.md"), text.format("")) == []
 
 
+def test_private_imports() -> None:
+    tool = Path("clients/python/tensormass_tools/trade/a.py")
+    for text in (
+        "import tensormass._src.meshes",
+        "from tensormass._src import meshes",
+        "from tensormass import _src",
+        "def f():\n    from tensormass._src.meshes import VolumeMesh",
+    ):
+        (problem,) = rules.private_imports(tool, text)
+        assert "imports tensormass._src" in problem
+    assert len(rules.private_imports(tool, "from tensormass._src.meshes import ElementBlock, VolumeMesh")) == 2
+    allowed = "import tensormass as tm\nfrom tensormass import Scene\nfrom tensormass._shared.names import as_name\n"
+    assert rules.private_imports(tool, allowed) == []
+    private = "from tensormass._src import meshes"
+    assert len(rules.private_imports(Path("clients/python/tensormass_gateway/a.py"), private)) == 1
+    assert len(rules.private_imports(Path("clients/python/tensormass/_shared/a.py"), private)) == 1
+    assert rules.private_imports(Path("clients/python/tensormass/_src/a.py"), private) == []
+    assert rules.private_imports(Path("tests/python/a.py"), private) == []
+
+
 def test_machine_paths() -> None:
     home = "/ho" + "me/someone/x"
     assert len(rules.machine_paths(Path("a.md"), f"see {home}\n")) == 1

@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import grpc
 from google.protobuf import json_format
 
-from tensormass._src import demo
-from tensormass._src.errors import TensormassError
-from tensormass._src.scene_file import SceneFile
+from tensormass import SceneFile, TensormassError
 from tensormass.v1 import control_pb2, scene_pb2
 from tensormass_gateway.daemon import Daemon
 from tensormass_gateway.requests import ProtocolError, finite_number, is_name
@@ -182,11 +180,9 @@ class Control:
 
 def _read_builtin(name: str) -> scene_pb2.Scene:
     """Reads a built-in scene and its meshes. Never reads another file, whatever the browser sends."""
-    found = demo.builtin_scene(name)
-    if found is None:
-        raise CommandError(f"there is no built-in scene {name!r}, only {', '.join(demo.builtin_scenes())}")
-    path, folder = found
-    return SceneFile.parse(path.read_text("utf-8"), folder, str(path)).message()
+    file = SceneFile.read_builtin(name)
+    # A scene that is not trusted has its meshes read in another process, so that frames keep flowing meanwhile.
+    return replace(file, builtin=None).message()
 
 
 def _free_name(name: str, taken: set[str]) -> str:

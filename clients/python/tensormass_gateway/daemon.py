@@ -16,8 +16,8 @@ import grpc
 import zmq
 import zmq.asyncio
 
-from tensormass._src.client_keys import ClientKeys, channel_options, guard_socket
-from tensormass._src.endpoints import reached_endpoints
+from tensormass._shared.client_keys import ClientKeys, channel_options, guard_socket
+from tensormass._shared.endpoints import reached_endpoints
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 from tensormass_gateway.feed import MAX_BUS_MESSAGE_BYTES, RPC_TIMEOUT_S, Feed
 from tensormass_gateway.outbox import Watcher

@@ -11,7 +11,7 @@ import zmq
 import zmq.asyncio
 from google.protobuf.message import DecodeError
 
-from tensormass._src.client_keys import ClientKeys, guard_socket
+from tensormass._shared.client_keys import ClientKeys, guard_socket
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 from tensormass_gateway.fields import FieldPoll
 from tensormass_gateway.outbox import Stream, Watcher

@@ -58,7 +58,7 @@ from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from tensormass._src import demo
+from tensormass import builtin_scenes
 from tensormass.v1 import scene_pb2
 from tensormass_gateway import connections, metrics
 from tensormass_gateway.admission import Admission, check_tokens, checked
@@ -474,7 +474,7 @@ class Gateway:
         return {
             "type": "daemon",
             **self._daemon.state(),
-            "builtin_scenes": demo.builtin_scenes(),
+            "builtin_scenes": builtin_scenes(),
             "operator": browser.operator,
             "poses_allowed": self.options.allow_poses and browser.operator,
         }

@@ -8,10 +8,10 @@ import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tensormass._src.client_keys import ClientKeys, keys_of
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.processes import BUNDLE
-from tensormass._src.secret_files import read_secret
+from tensormass import InvalidArgumentError
+from tensormass._shared.client_keys import ClientKeys, keys_of
+from tensormass._shared.processes import BUNDLE
+from tensormass._shared.secret_files import read_secret
 from tensormass_gateway.origins import origin_of
 
 

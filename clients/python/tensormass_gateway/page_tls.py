@@ -7,7 +7,7 @@ import ssl
 import tempfile
 from pathlib import Path
 
-from tensormass._src.client_keys import ClientKeys
+from tensormass._shared.client_keys import ClientKeys
 
 
 def is_loopback(host: str) -> bool:

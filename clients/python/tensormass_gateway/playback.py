@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from tensormass._src.errors import TensormassError
+from tensormass import TensormassError
 from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_gateway.control import Action, Command, CommandError, Outcome
 from tensormass_gateway.outbox import Stream, Watcher

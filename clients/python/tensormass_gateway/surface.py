@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.meshes import VolumeMesh
-from tensormass._src.packing import volume_mesh
+from tensormass import VolumeMesh, body_mesh
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 FloatArray = npt.NDArray[np.float64]
@@ -37,7 +36,7 @@ def rest_positions(scene: scene_pb2.Scene, topology: stream_pb2.Topology) -> npt
     Raises:
         MismatchError: the topology is not that of the scene.
     """
-    parts = [_rest_of(body, surface, volume_mesh(body)) for body, surface in _pairs(scene, topology)]
+    parts = [_rest_of(body, surface, body_mesh(body)) for body, surface in _pairs(scene, topology)]
     return np.concatenate([np.empty((0, 3)), *parts]).astype("<f4")
 
 
@@ -126,7 +125,7 @@ def _placed(body: scene_pb2.Body, nodes: FloatArray) -> FloatArray:
 
 
 def _map_of(body: scene_pb2.Body, surface: stream_pb2.BodySurface) -> _BodyMap:
-    mesh = volume_mesh(body)
+    mesh = body_mesh(body)
     vertices = _rest_of(body, surface, mesh)
     if surface.nodes:
         nodes = np.frombuffer(surface.nodes, "<u4").astype(np.int64)[:, None]

@@ -19,14 +19,20 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from tensormass._src.demo import builtin_scenes
-from tensormass._src.errors import InvalidArgumentError, MeshFileWarning, TensormassError
-from tensormass._src.extras import require
-from tensormass._src.findings import FIRST_OF_RESULTS, FindingWarning
-from tensormass._src.plain import to_plain
-from tensormass._src.processes import end_explained
-from tensormass._src.scene import Scene
-from tensormass._src.server import DEFAULT_ADDRESS, connect
+from tensormass import (
+    DEFAULT_ADDRESS,
+    FindingWarning,
+    InvalidArgumentError,
+    MeshFileWarning,
+    Scene,
+    TensormassError,
+    builtin_scenes,
+    connect,
+)
+from tensormass._shared.extras import require
+from tensormass._shared.findings import FIRST_OF_RESULTS
+from tensormass._shared.plain import to_plain
+from tensormass._shared.processes import end_explained
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_tools import desktop, export, hand, load_test, mesh_command, modes, organ_command, recording, run, solve
 from tensormass_tools.daemon_arguments import add_daemon_arguments, add_keys_argument, daemon_of

@@ -8,8 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tensormass._src.launching import launch
-from tensormass._src.server import Server, connect
+from tensormass import Server, connect, launch
 
 
 def add_keys_argument(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from google.protobuf import json_format
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.files import replacing
+from tensormass import InvalidArgumentError
+from tensormass._shared.files import replacing
 from tensormass.v1 import control_pb2
 from tensormass_tools import presets
 from tensormass_tools.output import check_writable, print_json

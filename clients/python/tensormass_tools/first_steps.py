@@ -12,11 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tensormass._src import defaults
-from tensormass._src.errors import TensormassError, UnavailableError
-from tensormass._src.meshes import FloatArray
-from tensormass._src.scene_handle import SceneHandle
-from tensormass._src.server import Server
+from tensormass import FloatArray, SceneHandle, Server, TensormassError, UnavailableError
+from tensormass._shared import defaults
 from tensormass.v1 import scene_pb2
 from tensormass_tools.fitting import Measured
 from tensormass_tools.hand import HandPose, HandScript

@@ -6,11 +6,9 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tensormass._src import defaults
-from tensormass._src.demo import cache_folder
-from tensormass._src.scene import Scene
-from tensormass._src.scene_file import SceneFile, is_mesh_file
-from tensormass._src.server import Server
+from tensormass import Scene, SceneFile, Server
+from tensormass._shared import defaults
+from tensormass._shared.cache import cache_folder
 from tensormass.v1 import scene_pb2
 from tensormass_tools import fits, hand, priority
 from tensormass_tools.first_steps import measure
@@ -38,7 +36,7 @@ def fit_scene(server: Server, backend: str, path: str | Path, as_it_is: Fitted, 
         as_it_is: the scene that runs if nothing is changed.
         cpu_threads: threads that the user chose; None leaves them to the daemon.
     """
-    if is_mesh_file(path):
+    if SceneFile.is_mesh(path):
         return as_it_is
     file = SceneFile.read(path)
     ladder = fits.ladder_of(file.builtin, backend)

@@ -23,12 +23,10 @@ import numpy as np
 from google.protobuf import json_format
 from google.protobuf.descriptor import Descriptor
 
-from tensormass._src import strict_yaml
-from tensormass._src.errors import InvalidArgumentError, NotFoundError
-from tensormass._src.meshes import FloatArray
-from tensormass._src.scene_fields import checked_fields
-from tensormass._src.server import connect
-from tensormass._src.vectors import quaternion
+from tensormass import FloatArray, InvalidArgumentError, NotFoundError, connect
+from tensormass._shared import strict_yaml
+from tensormass._shared.scene_fields import checked_fields
+from tensormass._shared.vectors import quaternion
 from tensormass.v1 import stream_pb2
 from tensormass_tools.running import find_server
 

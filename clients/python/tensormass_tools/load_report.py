@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.durations import DurationHistogram
-from tensormass._src.findings import code_of, text_of
+from tensormass import DurationHistogram
+from tensormass._shared.findings import code_of, text_of
 from tensormass.v1 import stream_pb2
 
 Json = dict[str, Any]

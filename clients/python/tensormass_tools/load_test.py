@@ -24,18 +24,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError, UnavailableError
-from tensormass._src.files import replacing
-from tensormass._src.launching import launch
-from tensormass._src.processes import ChildProcess, end_explained, find_program
-from tensormass._src.scene import Scene
-from tensormass._src.scene_handle import SceneHandle
-from tensormass._src.server import Server, connect
-from tensormass._src.tools import movable_tools, radius_m
+from tensormass import InvalidArgumentError, Scene, SceneHandle, Server, UnavailableError, connect, launch
+from tensormass._shared.files import replacing
+from tensormass._shared.processes import ChildProcess, end_explained, find_program
 from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_tools import load_report
 from tensormass_tools.load_report import Json
 from tensormass_tools.output import check_writable, load_silently
+from tensormass_tools.tool_sizes import movable_tools, radius_m
 
 _MAX_TOOLS = 16
 _READY_TIMEOUT_S = 60.0

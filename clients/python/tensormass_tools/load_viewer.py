@@ -18,9 +18,7 @@ from types import FrameType
 
 import numpy as np
 
-from tensormass._src.errors import DeadlineExceededError, TensormassError
-from tensormass._src.scene_handle import SceneHandle
-from tensormass._src.server import connect
+from tensormass import DeadlineExceededError, SceneHandle, TensormassError, connect
 from tensormass.v1 import stream_pb2
 from tensormass_tools.daemon_arguments import add_keys_argument
 from tensormass_tools.parser import Parser

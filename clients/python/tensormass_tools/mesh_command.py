@@ -11,10 +11,19 @@ from pathlib import Path
 
 import numpy as np
 
-from tensormass._src import mesh_files, mesh_geometry, mesh_repair, tetwild
-from tensormass._src.errors import InvalidArgumentError, MeshFileWarning
-from tensormass._src.mesh_units import guess
-from tensormass._src.meshes import VolumeMesh
+from tensormass import (
+    InvalidArgumentError,
+    MeshFileWarning,
+    VolumeMesh,
+    guess_unit_m,
+    mesh_quality,
+    read_mesh,
+    read_surface,
+    repair_mesh,
+    tetrahedralize,
+    write_mesh,
+)
+from tensormass._shared.mesh_names import check_holds_volumes
 from tensormass_tools.output import check_writable, print_json, quality_text
 
 Length = Callable[[str], float]
@@ -37,14 +46,14 @@ def add_arguments(parser: argparse.ArgumentParser, length_m: Length) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Runs the command."""
-    mesh_files.check_holds_volumes(args.output)
+    check_holds_volumes(args.output)
     check_writable("--output", args.output)
     unit_m = 1.0 if args.unit is None else args.unit
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", MeshFileWarning)
         mesh = _made(args, unit_m)
         mesh = replace(mesh, nodes=mesh.nodes * unit_m)
-        mesh_files.write_mesh(args.output, mesh)
+        write_mesh(args.output, mesh)
     notes = [f"{args.input}: {note}" for note in mesh.notes]
     for warning in caught:
         said = str(warning.message)
@@ -54,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         elif said.startswith(str(args.output)) or (args.edge is not None and said.startswith(str(args.input))):
             notes.append(said)
     notes = list(dict.fromkeys(notes))
-    quality = mesh_geometry.quality(mesh)
+    quality = mesh_quality(mesh)
     if args.json:
         print_json({"output": str(args.output), **asdict(quality), "notes": notes})
     else:
@@ -62,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     for note in notes:
         print(f"tensormass: {note}", file=sys.stderr)
     size_m = np.ptp(mesh.nodes, axis=0)
-    if guess(mesh.nodes) is not None:
+    if guess_unit_m(mesh.nodes) is not None:
         size = " × ".join(f"{length:.3g}" for length in size_m)
         print(
             f"tensormass: {args.output}: is {size} m large; if {args.input} has millimetres, give --unit 1mm",
@@ -74,10 +83,10 @@ def run(args: argparse.Namespace) -> int:
 def _made(args: argparse.Namespace, unit_m: float) -> VolumeMesh:
     if args.edge is None:
         try:
-            return mesh_repair.repair(mesh_files.read_mesh(args.input), largest=args.largest)
+            return repair_mesh(read_mesh(args.input), largest=args.largest)
         except InvalidArgumentError as error:
             if str(args.input) in str(error):
                 raise
             raise InvalidArgumentError(f"{args.input}: {error}") from error
-    surface = mesh_files.read_surface(args.input)
-    return tetwild.tetrahedralize(surface, args.edge / unit_m, largest=args.largest)
+    surface = read_surface(args.input)
+    return tetrahedralize(surface, args.edge / unit_m, largest=args.largest)

@@ -15,9 +15,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-from tensormass._src.errors import InvalidArgumentError, naming
-from tensormass._src.extras import require
-from tensormass._src.scene import Scene
+from tensormass import InvalidArgumentError, Scene
+from tensormass._shared.errors import naming
+from tensormass._shared.extras import require
 from tensormass.v1 import scene_pb2
 from tensormass_tools import modes_files
 from tensormass_tools.modes_matrices import SHAPES, matrices

@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src import mesh_files, meshes
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.files import replacing
+from tensormass import ElementBlock, InvalidArgumentError, VolumeMesh, write_fields
+from tensormass._shared.files import replacing
 from tensormass_tools.modes_solver import Modes
 from tensormass_tools.output import table
 
 ENDINGS = (".vtu", ".npz")
 
 
-def write(path: Path, names: Sequence[str], volumes: Sequence[meshes.VolumeMesh], modes: Sequence[Modes]) -> None:
+def write(path: Path, names: Sequence[str], volumes: Sequence[VolumeMesh], modes: Sequence[Modes]) -> None:
     """Writes the shapes of all bodies.
 
     `.vtu`: the mesh at rest, with point data `mode_001` ... [node_count, 3] and the cell data `body`. A body with fewer
@@ -33,7 +32,7 @@ def write(path: Path, names: Sequence[str], volumes: Sequence[meshes.VolumeMesh]
         return
     starts = np.cumsum([0, *(len(volume.nodes) for volume in volumes)]).tolist()
     blocks = [
-        meshes.ElementBlock(shape, elements + np.uint32(start))
+        ElementBlock(shape, elements + np.uint32(start))
         for volume, start in zip(volumes, starts, strict=False)
         for shape, elements in volume.blocks
     ]
@@ -46,12 +45,10 @@ def write(path: Path, names: Sequence[str], volumes: Sequence[meshes.VolumeMesh]
             if index < len(of.shapes):
                 shape[start : start + of.shapes.shape[1]] = of.shapes[index]
         nodes[f"mode_{index + 1:03d}"] = shape
-    mesh_files.write_blocks(path, points, blocks, nodes, {"body": np.repeat(np.arange(len(counts)), counts)})
+    write_fields(path, VolumeMesh(points, tuple(blocks)), nodes, {"body": np.repeat(np.arange(len(counts)), counts)})
 
 
-def _write_arrays(
-    path: Path, names: Sequence[str], volumes: Sequence[meshes.VolumeMesh], modes: Sequence[Modes]
-) -> None:
+def _write_arrays(path: Path, names: Sequence[str], volumes: Sequence[VolumeMesh], modes: Sequence[Modes]) -> None:
     arrays: dict[str, Any] = {}
     for name, volume, of in zip(names, volumes, modes, strict=True):
         arrays |= {

@@ -17,12 +17,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.elastic_constants import lame
-from tensormass._src.errors import InvalidArgumentError, naming
-from tensormass._src.mesh_geometry import signed_volumes
-from tensormass._src.meshes import BoolArray, ElementBlock, FloatArray, VolumeMesh
-from tensormass._src.packing import volume_mesh
-from tensormass._src.regions import Regions
+from tensormass import (
+    BoolArray,
+    ElementBlock,
+    FloatArray,
+    InvalidArgumentError,
+    Regions,
+    VolumeMesh,
+    body_mesh,
+    lame,
+    signed_volumes,
+)
+from tensormass._shared.errors import naming
 from tensormass.v1 import scene_pb2
 from tensormass_tools.trade.small_strain import ISOTROPIC_LAWS, small_strain
 
@@ -88,7 +94,7 @@ def matrices(body: scene_pb2.Body) -> Matrices:
 
 
 def _placed_mesh(body: scene_pb2.Body) -> VolumeMesh:
-    mesh = volume_mesh(body)
+    mesh = body_mesh(body)
     scale = body.mesh.scale if body.mesh.HasField("scale") else 1.0
     moved = body.mesh.translation_m
     return VolumeMesh(scale * mesh.nodes + [moved.x, moved.y, moved.z], mesh.blocks)

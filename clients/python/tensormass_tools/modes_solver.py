@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from tensormass._src.errors import NotConvergedError
-from tensormass._src.meshes import FloatArray
+from tensormass import FloatArray, NotConvergedError
 from tensormass_tools.modes_matrices import Matrices
 
 if TYPE_CHECKING:

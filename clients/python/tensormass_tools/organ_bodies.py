@@ -9,13 +9,24 @@ from pathlib import Path
 
 import numpy as np
 
-from tensormass._src import mesh_files, mesh_geometry, mesh_reading, mesh_units, segment_surface, segments, tetwild
-from tensormass._src.errors import InvalidArgumentError, MeshFileWarning
-from tensormass._src.label_formats.content import Labels, Segment
-from tensormass._src.mesh_repair import components
-from tensormass._src.meshes import BoolArray, TriangleSurface, VolumeMesh
-from tensormass._src.names import as_name
-from tensormass_tools import tissues
+from tensormass import (
+    BoolArray,
+    InvalidArgumentError,
+    Labels,
+    MeshFileWarning,
+    Segment,
+    TriangleSurface,
+    VolumeMesh,
+    boundary_triangles,
+    guess_unit_m,
+    read_labels,
+    read_surface,
+    signed_volumes,
+    tetrahedralize,
+)
+from tensormass._shared.components import components
+from tensormass._shared.names import as_name
+from tensormass_tools import segment_surface, segments, tissues
 
 #: Set of the nodes that hold a body.
 HELD = "held"
@@ -61,7 +72,7 @@ class Body:
     @property
     def mesh_volume_m3(self) -> float:
         """Returns the volume of the tetrahedra."""
-        return float(mesh_geometry.signed_volumes(self.mesh).sum())
+        return float(signed_volumes(self.mesh).sum())
 
 
 @dataclass(frozen=True)
@@ -84,7 +95,7 @@ def from_labels(path: Path, wish: Wish) -> tuple[list[Body], list[str]]:
     Raises:
         InvalidArgumentError: a segment that does not exist, is empty, or has no tissue or no mesh.
     """
-    labels = scaled(mesh_reading.labels(path), wish.unit_m)
+    labels = scaled(read_labels(path), wish.unit_m)
     found = [segments.find(labels, name, str(path)) for name in wish.segments]
     if twice := [of.name for index, of in enumerate(found) if of in found[:index]]:
         raise InvalidArgumentError(f"{path}: --segment {twice[0]!r} is given twice; a body needs it once")
@@ -121,11 +132,11 @@ def from_surface(path: Path, wish: Wish) -> tuple[list[Body], list[str]]:
     notes: list[str] = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", MeshFileWarning)
-        surface = mesh_files.read_surface(path)
+        surface = read_surface(path)
     notes += [str(warning.message).removeprefix(f"{path}: ") for warning in caught]
     unit_m = wish.unit_m
     if unit_m is None:
-        unit_m = mesh_units.guess(surface.vertices) or 1.0
+        unit_m = guess_unit_m(surface.vertices) or 1.0
         size = " × ".join(f"{length:.3g}" for length in np.ptp(surface.vertices, axis=0))
         unit = "metres" if unit_m == 1.0 else "millimetres"
         notes.append(f"is {size} in a unit that the file does not name, and is taken as {unit}; --unit names it")
@@ -202,18 +213,18 @@ def _fill(
     """Fills a closed surface. Returns the mesh, which has its volume, and notes."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", MeshFileWarning)
-        mesh = tetwild.tetrahedralize(surface, edge_m, largest=wish.largest)
+        mesh = tetrahedralize(surface, edge_m, largest=wish.largest)
     for warning in caught:
         if not issubclass(warning.category, MeshFileWarning):
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    triangles = mesh_geometry.boundary_triangles(mesh).astype(np.int64)
+    triangles = boundary_triangles(mesh).astype(np.int64)
     nodes = segment_surface.with_volume(mesh.nodes, triangles, volume_m3)
-    before = mesh_geometry.signed_volumes(mesh)
+    before = signed_volumes(mesh)
     moved = replace(mesh, nodes=nodes)
     # Keeps the mesher's boundary if moving it spoils an element. It moves by far less than an edge.
-    if (mesh_geometry.signed_volumes(moved) > before / 2).all():
+    if (signed_volumes(moved) > before / 2).all():
         mesh = moved
-    error = float(mesh_geometry.signed_volumes(mesh).sum()) / volume_m3 - 1
+    error = float(signed_volumes(mesh).sum()) / volume_m3 - 1
     if abs(error) > MAX_VOLUME_ERROR:
         raise InvalidArgumentError(
             f"{where}: its mesh has {100 * error:+.1f} % of the volume of the file, more than "
@@ -235,7 +246,7 @@ def _touch(
     where: str,
 ) -> None:
     """Finds the nodes that touch other bodies, and those that segments without a body hold."""
-    outer = np.unique(mesh_geometry.boundary_triangles(body.mesh))
+    outer = np.unique(boundary_triangles(body.mesh))
     slack_m = max(body.edge_m * _ENVELOPE, body.edge_m / _SURFACE_STEPS / 2)
     own = {segment for segment, _ in others}
     of_bodies = {segment: other.name for segment, other in others if other is not body}

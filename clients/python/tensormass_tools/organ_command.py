@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from tensormass._src import mesh_reading, segments
-from tensormass._src.errors import InvalidArgumentError, NotFoundError
-from tensormass._src.extras import require
-from tensormass._src.label_formats import reading
-from tensormass_tools import organ_bodies, organ_gaps, organ_scene, tissues
+from tensormass import LABEL_ENDINGS, InvalidArgumentError, NotFoundError, read_labels
+from tensormass._shared.extras import require
+from tensormass_tools import organ_bodies, organ_gaps, organ_scene, segments, tissues
 from tensormass_tools.output import check_writable, print_json
 
 Length = Callable[[str], float]
@@ -80,9 +78,9 @@ def run(args: argparse.Namespace) -> int:
         require("organs", "a scene of a segmentation")
     if not path.is_file():
         raise NotFoundError(f"{path}: no such file")
-    is_labels = reading.reader_of(path) is not None
+    is_labels = path.name.lower().endswith(LABEL_ENDINGS)
     if not is_labels and path.suffix.lower() not in _SURFACES:
-        known = ", ".join((*reading.READERS, *_SURFACES))
+        known = ", ".join((*LABEL_ENDINGS, *_SURFACES))
         raise InvalidArgumentError(
             f"{path}: files of this ending are not read as segmentations; known are {known}. Save it in 3D Slicer as "
             ".seg.nrrd or .nii.gz"
@@ -127,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _list(args: argparse.Namespace) -> int:
-    labels = organ_bodies.scaled(mesh_reading.labels(args.input), args.unit)
+    labels = organ_bodies.scaled(read_labels(args.input), args.unit)
     voxel_m3 = abs(float(np.linalg.det(labels.affine[:3, :3])))
     counts = [np.bincount(layer.reshape(-1)) for layer in labels.voxels]
     rows: list[dict[str, Any]] = []

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src import mesh_geometry, segment_surface
-from tensormass._src.meshes import BoolArray, FloatArray, VolumeMesh
+from tensormass import BoolArray, FloatArray, VolumeMesh, boundary_triangles, signed_volumes
+from tensormass_tools import segment_surface
 from tensormass_tools.organ_bodies import Body
 
 #: Distance of two bodies that touch, in edges. Their contact starts at half of it.
@@ -33,7 +33,7 @@ def separate(bodies: Sequence[Body]) -> None:
         for other in bodies
         if other.name in body.touches and body.name in other.touches
     ]
-    before = {body.name: mesh_geometry.signed_volumes(body.mesh) for body in bodies}
+    before = {body.name: signed_volumes(body.mesh) for body in bodies}
     start = {body.name: body.mesh_volume_m3 for body in bodies}
     for _ in range(_ROUNDS):
         moved = [_move_out(body, other, before) for body, other in pairs]
@@ -46,13 +46,13 @@ def separate(bodies: Sequence[Body]) -> None:
 
 def _restore_volume(body: Body, volume_m3: float, volumes: FloatArray) -> None:
     """Moves the rest of the boundary out by as much as the body has lost, unless that spoils an element."""
-    triangles = mesh_geometry.boundary_triangles(body.mesh).astype(np.int64)
+    triangles = boundary_triangles(body.mesh).astype(np.int64)
     free = ~np.logical_or.reduce(list(body.touches.values()))
     if not free[triangles].any():
         return
     nodes = segment_surface.with_volume(body.mesh.nodes, triangles, volume_m3, free)
     mesh = replace(body.mesh, nodes=nodes)
-    if (mesh_geometry.signed_volumes(mesh) >= (1 - _MAX_LOSS) * volumes).all():
+    if (signed_volumes(mesh) >= (1 - _MAX_LOSS) * volumes).all():
         body.mesh = mesh
 
 
@@ -61,7 +61,7 @@ def _move_out(body: Body, other: Body, volumes: Mapping[str, FloatArray]) -> boo
     from scipy.spatial import KDTree
 
     triangles, places, normals = _samples(other.mesh, other.touches[body.name])
-    own_triangles = mesh_geometry.boundary_triangles(body.mesh)
+    own_triangles = boundary_triangles(body.mesh)
     outer = np.unique(own_triangles[body.touches[other.name][own_triangles].any(axis=1)])
     edge_m = min(body.edge_m, other.edge_m)
     nodes = body.mesh.nodes
@@ -87,7 +87,7 @@ def _move(body: Body, step_m: FloatArray, volumes: Mapping[str, FloatArray]) -> 
         if not step_m.any():
             return False
         mesh = replace(body.mesh, nodes=body.mesh.nodes + step_m)
-        spoilt = mesh_geometry.signed_volumes(mesh) < (1 - _MAX_LOSS) * volumes[body.name]
+        spoilt = signed_volumes(mesh) < (1 - _MAX_LOSS) * volumes[body.name]
         if not spoilt.any():
             body.mesh = mesh
             return True
@@ -106,7 +106,7 @@ _SAMPLES = len(_WEIGHTS)
 
 def _samples(mesh: VolumeMesh, nodes: BoolArray) -> tuple[npt.NDArray[np.integer], FloatArray, FloatArray]:
     """Returns the triangles of the boundary at some nodes, `_SAMPLES` points on each, and the normals there."""
-    triangles = mesh_geometry.boundary_triangles(mesh)
+    triangles = boundary_triangles(mesh)
     near = nodes[triangles].any(axis=1)
     # One ring of triangles more, because the nearest one of a node may lie there.
     around = np.zeros(len(mesh.nodes), bool)

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tensormass._src import mesh_files, mesh_geometry
-from tensormass._src.meshes import BoolArray, FloatArray
+from tensormass import BoolArray, FloatArray, boundary_triangles, write_mesh
 from tensormass_tools.organ_bodies import HELD, Body
 from tensormass_tools.organ_gaps import GAP
 
@@ -39,7 +38,7 @@ def write(path: Path, bodies: Sequence[Body], law: str, source: Source) -> list[
         sets = {HELD: np.flatnonzero(body.held).astype(np.uint32)}
         sets |= {f"touches_{name}": np.flatnonzero(nodes).astype(np.uint32) for name, nodes in body.touches.items()}
         kept = {name: nodes for name, nodes in sets.items() if len(nodes)}
-        mesh_files.write_mesh(mesh_path, replace(body.mesh, sets=kept))
+        write_mesh(mesh_path, replace(body.mesh, sets=kept))
     lines = _head(path, source)
     lines.append("bodies:")
     for body, mesh_path in zip(bodies, meshes, strict=True):
@@ -67,7 +66,7 @@ def _head(path: Path, source: Source) -> list[str]:
 
 def scene_name(path: Path) -> str:
     """Returns the scene's name, after its file."""
-    from tensormass._src.names import as_name
+    from tensormass._shared.names import as_name
 
     return as_name(path.stem) or "organ"
 
@@ -146,7 +145,7 @@ def _ties(bodies: Sequence[Body]) -> list[str]:
 
 def _area(body: Body, nodes: BoolArray) -> float:
     """Returns the area of the boundary at some nodes, a third of each triangle for each of its corners."""
-    triangles = mesh_geometry.boundary_triangles(body.mesh)
+    triangles = boundary_triangles(body.mesh)
     corner = body.mesh.nodes[triangles]
     areas = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
     return float((areas * nodes[triangles].mean(axis=1)).sum())
@@ -156,13 +155,13 @@ def _probe(bodies: Sequence[Body]) -> list[str]:
     """Puts a probe before the tissue, where it is farthest from all that holds it."""
     body = bodies[0]
     radius_m = max(_MIN_RADIUS_M, body.edge_m)
-    triangles = mesh_geometry.boundary_triangles(body.mesh)
+    triangles = boundary_triangles(body.mesh)
     nodes = body.mesh.nodes
     corner = nodes[triangles]
     center = corner.mean(axis=1)
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    skin = np.concatenate([of.mesh.nodes[np.unique(mesh_geometry.boundary_triangles(of.mesh))] for of in bodies])
+    skin = np.concatenate([of.mesh.nodes[np.unique(boundary_triangles(of.mesh))] for of in bodies])
     free = _distance(center, nodes[body.held]) if body.held.any() else np.zeros(len(center))
     reach = radius_m * (1 + _GAP)
     for index in np.argsort(-free, kind="stable")[:200]:

@@ -11,11 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tensormass._src import defaults, findings
-from tensormass._src.durations import DurationHistogram
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.mesh_geometry import MeshQuality
-from tensormass._src.notebook import recoveries_text
+from tensormass import DurationHistogram, InvalidArgumentError, MeshQuality
+from tensormass._shared import defaults, findings
+from tensormass._shared.status_text import recoveries_text
 from tensormass.v1 import control_pb2, finding_pb2, scene_pb2, stream_pb2
 
 #: Number of steps that `step_time_p50_s` and its like span.

@@ -9,10 +9,8 @@ from pathlib import Path
 
 import yaml
 
-from tensormass._src.demo import cache_folder
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.scene import Scene
-from tensormass._src.scene_file import SceneFile, is_mesh_file
+from tensormass import InvalidArgumentError, Scene, SceneFile
+from tensormass._shared.cache import cache_folder
 from tensormass_tools.trade.knobs import Knobs, Setting
 
 FILE = Path(__file__).resolve().parent / "presets.yaml"
@@ -66,7 +64,7 @@ def read_for_backend(path: str | Path, backend: str) -> Scene | None:
     Raises:
         NotFoundError: the path names neither a file nor a built-in scene.
     """
-    if is_mesh_file(path):
+    if SceneFile.is_mesh(path):
         return None
     file = SceneFile.read(path)
     setting = FOR_BACKEND.get(backend, {}).get(file.builtin or "")

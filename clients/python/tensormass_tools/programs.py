@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-from tensormass._src.processes import BUNDLE
+from tensormass._shared.processes import BUNDLE
 
 
 def daemon() -> None:

@@ -28,14 +28,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tensormass._src.errors import FailedPreconditionError, InvalidArgumentError, TensormassError, UnavailableError
-from tensormass._src.extras import require
-from tensormass._src.launching import launch
-from tensormass._src.plain import to_plain
-from tensormass._src.processes import ChildProcess, end_explained, find_program, log_tail
-from tensormass._src.scene import Scene
-from tensormass._src.scene_handle import SceneHandle
-from tensormass._src.server import Server
+from tensormass import (
+    FailedPreconditionError,
+    InvalidArgumentError,
+    Scene,
+    SceneHandle,
+    Server,
+    TensormassError,
+    UnavailableError,
+    launch,
+)
+from tensormass._shared.extras import require
+from tensormass._shared.plain import to_plain
+from tensormass._shared.processes import ChildProcess, end_explained, find_program, log_tail
 from tensormass.v1 import scene_pb2
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_gateway.options import options_from

@@ -16,8 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.server import DEFAULT_ADDRESS
+from tensormass import DEFAULT_ADDRESS, InvalidArgumentError
 
 # A daemon at the default address is on this machine and answers at once.
 _CONNECT_S = 0.25

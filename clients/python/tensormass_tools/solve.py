@@ -17,10 +17,8 @@ import argparse
 import os
 from pathlib import Path
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.fields import FIELD_NAMES, field_numbers
-from tensormass._src.packing import volume_mesh
-from tensormass._src.processes import end_explained
+from tensormass import FIELD_NAMES, Fields, InvalidArgumentError, body_mesh
+from tensormass._shared.processes import end_explained
 from tensormass.v1 import scene_pb2
 from tensormass_tools import presets
 from tensormass_tools.daemon_arguments import add_daemon_arguments, daemon_of
@@ -90,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         if value is not None and not 0 < value <= _MOST:
             raise InvalidArgumentError(f"--{option} {value}: must be positive and at most {_MOST:g}")
     names = list(FIELD_NAMES) if args.fields is None else [name.strip() for name in args.fields.split(",")]
-    field_numbers(names)
+    Fields.check_names(names)
 
     scene = presets.read_scene(args.scene, args.preset)
     solver = scene.message.solver
@@ -108,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
         handle = server.load(scene, lockstep=True, name=name, progress=progress)
         try:
             # Cuts grids only after the daemon has checked their size.
-            volumes = [volume_mesh(body) for body in scene.message.bodies]
+            volumes = [body_mesh(body) for body in scene.message.bodies]
             writer = Writer(args.out, handle, volumes, names)
             solution = Solution(args, scene.message, handle, writer)
             summary = solution.compute()

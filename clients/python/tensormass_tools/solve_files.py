@@ -8,31 +8,34 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src import mesh_files, meshes
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.fields import NODE_FIELDS, FieldName, Fields
-from tensormass._src.files import replacing
-from tensormass._src.scene_handle import SceneHandle
+from tensormass import (
+    NODE_FIELDS,
+    ElementBlock,
+    FieldName,
+    Fields,
+    InvalidArgumentError,
+    SceneHandle,
+    VolumeMesh,
+    write_fields,
+)
+from tensormass._shared.files import replacing
 
 
 class Writer:
     """Writes the state of a scene: points at rest, all bodies in one file, numbered by the cell data `body`."""
 
-    def __init__(
-        self, out: Path, handle: SceneHandle, volumes: list[meshes.VolumeMesh], names: list[FieldName]
-    ) -> None:
+    def __init__(self, out: Path, handle: SceneHandle, volumes: list[VolumeMesh], names: list[FieldName]) -> None:
         self._out = out
         self._handle = handle
         self._names = names
         self.bodies = [body.name for body in handle.topology().bodies]
-        self._points = np.concatenate([handle.positions(body) for body in self.bodies])
-        self._blocks = []
+        points = np.concatenate([handle.positions(body) for body in self.bodies])
+        blocks: list[ElementBlock] = []
         first = 0
         for volume in volumes:
-            self._blocks += [
-                meshes.ElementBlock(shape, elements + np.uint32(first)) for shape, elements in volume.blocks
-            ]
+            blocks += [ElementBlock(shape, elements + np.uint32(first)) for shape, elements in volume.blocks]
             first += len(volume.nodes)
+        self._mesh = VolumeMesh(points, tuple(blocks))
         self._body_of = np.repeat(np.arange(len(volumes), dtype=np.int32), [v.element_count for v in volumes])
         self._series: list[tuple[float, Path]] = []
 
@@ -46,7 +49,7 @@ class Writer:
             if name == "cauchy_stress":
                 values = values[:, [0, 1, 2, 5, 3, 4]]  # VTK's symmetric tensor: xx yy zz xy yz xz
             (nodes if name in NODE_FIELDS else cells)[name] = values
-        mesh_files.write_blocks(path or self._out, self._points, self._blocks, nodes, cells)
+        write_fields(path or self._out, self._mesh, nodes, cells)
         return measured
 
     def write_one_of_series(self, step: int, time_s: float) -> None:

@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from tensormass._src import defaults
-from tensormass._src.errors import FailedPreconditionError, NotConvergedError
-from tensormass._src.fields import Fields
-from tensormass._src.scene_handle import SceneHandle
+from tensormass import FailedPreconditionError, Fields, NotConvergedError, SceneHandle
+from tensormass._shared import defaults
 from tensormass.v1 import finding_pb2, scene_pb2, stream_pb2
 from tensormass_tools import presets
 from tensormass_tools.output import Warnings

@@ -10,8 +10,8 @@ from typing import Any
 
 import yaml
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.names import suggestion
+from tensormass import InvalidArgumentError
+from tensormass._shared.names import suggestion
 
 FILE = Path(__file__).resolve().parent / "tissues.yaml"
 

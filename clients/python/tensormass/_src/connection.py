@@ -7,17 +7,17 @@ from typing import Any
 
 import grpc
 
-from tensormass._src import errors
-from tensormass._src.client_keys import ClientKeys, KeysSource, channel_options, keys_of
+from tensormass._shared import errors
+from tensormass._shared.client_keys import ClientKeys, KeysSource, channel_options, keys_of
+from tensormass._shared.endpoints import reached_endpoints
 from tensormass._src.data_plane import DataPlane
-from tensormass._src.endpoints import reached_endpoints
 from tensormass._src.streams import Closing
 from tensormass.v1 import control_pb2, control_pb2_grpc
 
 # The daemon's own limit (server/core/limits.h).
 _MAX_MESSAGE_BYTES = 512 << 20
 CALL_TIMEOUT_S = 30.0
-#: For calls that compile a scene or measure all of it.
+#: Time [s] that a call may take if it compiles a scene or measures all of it.
 LOAD_TIMEOUT_S = 300.0
 
 

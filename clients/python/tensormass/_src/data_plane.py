@@ -17,8 +17,8 @@ import zenoh
 import zenoh.handlers
 import zmq
 
-from tensormass._src.client_keys import ClientKeys, guard_socket
-from tensormass._src.errors import (
+from tensormass._shared.client_keys import ClientKeys, guard_socket
+from tensormass._shared.errors import (
     InvalidArgumentError,
     UnavailableError,
 )

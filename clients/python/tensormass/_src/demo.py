@@ -12,11 +12,11 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from tensormass._shared.cache import cache_folder
 from tensormass._src import mesh_files
 from tensormass._src.isosurface import Implicit
 from tensormass._src.meshes import TriangleSurface
 from tensormass._src.organ import ORGANS
-from tensormass._src.processes import BUILD_BIN
 
 _PACKAGE = Path(__file__).resolve().parent
 _TEMPLATES = _PACKAGE.parent / "scenes"
@@ -80,11 +80,3 @@ def _make_organs(folder: Path, names: Sequence[str]) -> None:
             skins[organ.inside] = organ.skin()
         skin = skins[organ.inside]
         mesh_files.write_surface(folder / f"{name}_skin.ply", skin)
-
-
-def cache_folder() -> Path:
-    """Returns the folder of meshes that are made on demand."""
-    build = BUILD_BIN.parent
-    if build.is_dir() and os.access(build, os.W_OK):
-        return build / "scenes"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tensormass" / "scenes"

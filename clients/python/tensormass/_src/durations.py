@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import FailedPreconditionError
+from tensormass._shared.errors import FailedPreconditionError
 from tensormass.v1 import stream_pb2
 
 _SUB_BITS = 5

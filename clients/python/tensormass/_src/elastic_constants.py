@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
 
 
 def young_poisson(lambda_pa: float, mu_pa: float) -> tuple[float, float]:

@@ -8,10 +8,10 @@ from typing import Literal, cast, get_args
 
 import numpy as np
 
+from tensormass._shared.errors import InternalError, InvalidArgumentError
+from tensormass._shared.names import suggestion
 from tensormass._src import notebook
-from tensormass._src.errors import InternalError, InvalidArgumentError
 from tensormass._src.meshes import FloatArray
-from tensormass._src.names import suggestion
 from tensormass.v1 import control_pb2
 
 FieldName = Literal[
@@ -24,6 +24,7 @@ FieldName = Literal[
     "det_f",
     "elastic_energy",
 ]
+#: Names of all fields.
 FIELD_NAMES: tuple[FieldName, ...] = get_args(FieldName)
 #: Fields with a value at each node. The others have one in each element.
 NODE_FIELDS: frozenset[FieldName] = frozenset({"displacement", "velocity", "reaction_force"})
@@ -77,6 +78,17 @@ class Fields:
         return notebook.table(title, rows, ["field", "shape", "least", "largest"])
 
     @staticmethod
+    def check_names(names: Sequence[str]) -> None:
+        """Checks names of fields before a daemon is asked for them.
+
+        Raises:
+            InvalidArgumentError: a name that is not one of `FIELD_NAMES`.
+        """
+        for name in names:
+            if name not in FIELD_NAMES:
+                raise InvalidArgumentError(f"unknown field {name!r}; {suggestion(name, FIELD_NAMES)}")
+
+    @staticmethod
     def from_message(message: control_pb2.GetFieldsResponse) -> Fields:
         """Decodes a reply.
 
@@ -106,7 +118,5 @@ def field_numbers(names: Sequence[str]) -> list[control_pb2.Field]:
     Raises:
         InvalidArgumentError: an unknown name.
     """
-    for name in names:
-        if name not in FIELD_NAMES:
-            raise InvalidArgumentError(f"unknown field {name!r}; {suggestion(name, FIELD_NAMES)}")
+    Fields.check_names(names)
     return [cast(control_pb2.Field, control_pb2.Field.Value(_PREFIX + name.upper())) for name in names]

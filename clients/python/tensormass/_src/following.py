@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from google.protobuf.message import DecodeError
 
-from tensormass._src.errors import InternalError
-from tensormass._src.vectors import Vector, finite_numbers, quaternion, vector3
+from tensormass._shared.errors import InternalError
+from tensormass._shared.vectors import Vector, finite_numbers, quaternion, vector3
 from tensormass.v1 import control_pb2, recording_pb2
 
 Pose = tuple[Vector, Vector | None, Vector]

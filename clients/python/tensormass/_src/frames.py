@@ -9,11 +9,11 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src import notebook
-from tensormass._src.errors import (
+from tensormass._shared.errors import (
     InternalError,
     NotFoundError,
 )
+from tensormass._src import notebook
 from tensormass._src.springs import Springs, broken_flags, spring_count
 from tensormass.v1 import scene_pb2, stream_pb2
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.names import suggestion
 from tensormass._src.meshes import ElementBlock, VolumeMesh
-from tensormass._src.names import suggestion
 from tensormass._src.shapes import SHAPES
 
 # How a cell is cut, its corners counted as x + 2 y + 4 z and its centre as 8; the daemon cuts `Mesh.grid` in this way.

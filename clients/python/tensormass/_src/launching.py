@@ -9,9 +9,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from tensormass._src import errors
-from tensormass._src.client_keys import KeysSource
-from tensormass._src.processes import ChildProcess, find_program
+from tensormass._shared import errors
+from tensormass._shared.client_keys import KeysSource
+from tensormass._shared.processes import ChildProcess, find_program
 from tensormass._src.server import Server
 
 

@@ -6,11 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import cast
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.names import suggestion
-from tensormass._src.vectors import Vector, vector3
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.names import suggestion
+from tensormass._shared.vectors import Vector, vector3
 from tensormass.v1 import scene_pb2
 
+#: Names of the material laws, as in `Law` of scene.proto.
 LAWS = tuple(field.name for field in scene_pb2.Law.DESCRIPTOR.oneofs_by_name["kind"].fields)
 #: Law of a body that names none. St-Venant-Kirchhoff softens in compression, so that a press of 8 mm can end a scene.
 DEFAULT_LAW = "stable_neo_hookean"

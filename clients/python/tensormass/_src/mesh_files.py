@@ -20,16 +20,16 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._shared.errors import InvalidArgumentError, MeshFileWarning, NotFoundError
+from tensormass._shared.files import read_bytes, replacing
+from tensormass._shared.mesh_names import SURFACE_ENDINGS, check_holds_volumes
 from tensormass._src import mesh_reading, mesh_writing
-from tensormass._src.errors import InvalidArgumentError, MeshFileWarning, NotFoundError
-from tensormass._src.files import read_bytes, replacing
+from tensormass._src.label_formats.content import Labels
 from tensormass._src.mesh_formats import finish
 from tensormass._src.mesh_formats.kinds import KINDS, SET_PREFIX, VOLUMES
 from tensormass._src.mesh_formats.raw import Block, FormatError, Raw
 from tensormass._src.meshes import ElementBlock, FloatArray, TriangleSurface, VolumeMesh
 
-# Formats of surfaces alone.
-_SURFACE_ENDINGS = (".obj", ".stl", ".ply", ".off", ".vtp")
 # Folder of this package, whose lines a warning does not name.
 _PACKAGE = str(Path(__file__).resolve().parents[1])
 
@@ -68,7 +68,7 @@ def read_mesh(path: str | Path, *, trusted: bool = False) -> VolumeMesh:
     """
     path = Path(path)
     _check_is_file(path)
-    if path.suffix.lower() in _SURFACE_ENDINGS and read_bytes(path, 4) != b"$NOD":
+    if path.suffix.lower() in SURFACE_ENDINGS and read_bytes(path, 4) != b"$NOD":
         raise InvalidArgumentError(
             f"{path}: {path.suffix} holds a surface, without volume elements; if it is closed, fill it with "
             "`tensormass mesh --edge LENGTH`"
@@ -175,6 +175,16 @@ def read_surface(path: str | Path, *, trusted: bool = False) -> TriangleSurface:
     return surface
 
 
+def read_labels(path: str | Path) -> Labels:
+    """Reads a label map: a segmentation of 3D Slicer (.seg.nrrd), NRRD (.nrrd, .nhdr) or NIfTI (.nii, .nii.gz).
+    Another process reads it, with limits of time and memory.
+
+    Raises:
+        InvalidArgumentError: not readable; the message names file and remedy.
+    """
+    return mesh_reading.labels(Path(path))
+
+
 def write_mesh(path: str | Path, mesh: VolumeMesh) -> None:
     """Writes a mesh. The ending of the name chooses the format: .msh (Gmsh 2.2), .vtk, .vtu, .inp (Abaqus, CalculiX;
     without element fields), .mesh (Medit) or .ele (TetGen; both without sets and fields).
@@ -189,16 +199,6 @@ def write_mesh(path: str | Path, mesh: VolumeMesh) -> None:
     write_blocks(path, mesh.nodes, mesh.blocks, masks, mesh.element_fields)
 
 
-def check_holds_volumes(path: str | Path) -> None:
-    """Refuses a file format that has no volume elements.
-
-    Raises:
-        InvalidArgumentError: such a format, by the ending of the name.
-    """
-    if Path(path).suffix.lower() in _SURFACE_ENDINGS:
-        raise InvalidArgumentError(f"{path}: {Path(path).suffix} holds surfaces only; use .msh, .vtk or .vtu")
-
-
 def write_surface(path: str | Path, surface: TriangleSurface) -> None:
     """Writes a triangulated surface. The ending of the name chooses the format: .ply, .stl, .obj or .off."""
     path = Path(path)
@@ -207,6 +207,25 @@ def write_surface(path: str | Path, surface: TriangleSurface) -> None:
             mesh_writing.write_surface(aside, surface, path)
     except OSError as error:
         raise InvalidArgumentError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def write_fields(
+    path: str | Path,
+    mesh: VolumeMesh,
+    node_fields: Mapping[str, npt.NDArray[np.generic]],
+    element_fields: Mapping[str, npt.NDArray[np.generic]],
+) -> None:
+    """Writes a mesh with fields of any name, to look at them in ParaView, without its sets and its own element fields.
+    The ending of the name chooses the format as in `write_mesh`; take .vtu or .vtk.
+
+    Args:
+        node_fields: by name, [node_count] or [node_count, components].
+        element_fields: by name, [element_count] or [element_count, components].
+
+    Raises:
+        InvalidArgumentError: unknown ending, or the file cannot be written.
+    """
+    write_blocks(path, mesh.nodes, mesh.blocks, node_fields, element_fields)
 
 
 def write_blocks(

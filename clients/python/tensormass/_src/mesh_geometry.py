@@ -25,7 +25,10 @@ class MeshQuality:
 
 
 def signed_volumes(mesh: VolumeMesh) -> FloatArray:
-    """Returns the volume of each element, [element_count]; negative for inverted elements."""
+    """Returns the volume of each element, [element_count], in the cube of the mesh's unit; negative for inverted ones.
+
+    Exact for straight edges.
+    """
     return np.concatenate([_signed_volumes(mesh.nodes, block) for block in mesh.blocks])
 
 
@@ -77,8 +80,8 @@ def dihedral_angles_deg(mesh: VolumeMesh) -> FloatArray:
     return np.concatenate(angles)
 
 
-def quality(mesh: VolumeMesh) -> MeshQuality:
-    """Measures counts, volume, edge length and the worst dihedral angle."""
+def mesh_quality(mesh: VolumeMesh) -> MeshQuality:
+    """Measures counts, volume, edge length and the worst dihedral angle of a mesh."""
     counts: dict[str, int] = {}
     lengths = []
     for shape, elements in mesh.blocks:
@@ -96,14 +99,14 @@ def quality(mesh: VolumeMesh) -> MeshQuality:
     )
 
 
-def boundary(mesh: VolumeMesh) -> TriangleSurface:
-    """Returns the boundary as outward triangles on a compact list of vertices."""
+def boundary_surface(mesh: VolumeMesh) -> TriangleSurface:
+    """Returns the boundary as outward triangles, with those nodes alone that are on it. Quadrilaterals are split."""
     used, index = np.unique(boundary_triangles(mesh), return_inverse=True)
     return TriangleSurface(mesh.nodes[used], index.reshape(-1, 3).astype(np.uint32))
 
 
 def boundary_triangles(mesh: VolumeMesh) -> IndexArray:
-    """Returns the faces that belong to one element only, as outward triangles of the mesh's nodes, [n, 3]."""
+    """Returns the faces that belong to one element only, as outward triangles of the mesh's nodes, uint32 [n, 3]."""
     triangles = []
     for corner_count in (3, 4):
         faces = np.concatenate(

@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
 from tensormass._src.label_formats import content
 from tensormass._src.mesh_formats import finish, limits, reading
 from tensormass._src.mesh_formats.raw import FormatError

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.components import MIN_PART, components
+from tensormass._shared.errors import InvalidArgumentError
 from tensormass._src.mesh_geometry import _signed_volumes, signed_volumes
 from tensormass._src.meshes import ElementBlock, VolumeMesh
 
-#: Smaller parts than this share of the largest one are crumbs of a segmentation or a mesher, and are dropped.
-MIN_PART = 0.01
 # Parts that a note lists.
 _MAX_LISTED = 5
 
 
-def repair(mesh: VolumeMesh, *, largest: bool = False) -> VolumeMesh:
+def repair_mesh(mesh: VolumeMesh, *, largest: bool = False) -> VolumeMesh:
     """Repairs what the daemon would refuse: rewinds inverted elements, and drops flat and repeated ones, crumbs (parts
-    below `MIN_PART`) and nodes of no element. Parts are connected over shared nodes. `notes` say what was done.
+    below 1 % of the largest one) and nodes of no element. Parts are connected over shared nodes. `notes` of the mesh
+    say what was done.
 
     Args:
         largest: keeps the largest part alone, by volume.
+
+    Raises:
+        InvalidArgumentError: the mesh encloses no volume.
     """
     volumes = signed_volumes(mesh)
     extent = float(np.ptp(mesh.nodes, axis=0).max())
@@ -135,20 +137,3 @@ def compact(mesh: VolumeMesh, kept: npt.NDArray[np.bool_] | None = None, *, renu
         fields,
         mesh.notes,
     )
-
-
-def components(node_count: int, blocks: Sequence[npt.NDArray[np.integer]]) -> npt.NDArray[np.int64]:
-    """Labels each node with the smallest node index of its component. Merges labels and halves the chains of labels
-    until nothing changes."""
-    label = np.arange(node_count, dtype=np.int64)
-    while True:
-        new = label.copy()
-        for elements in blocks:
-            lowest = label[elements].min(axis=1)
-            for corner in range(elements.shape[1]):
-                np.minimum.at(new, label[elements[:, corner]], lowest)
-        new = new[new]
-        new = new[new]
-        if np.array_equal(new, label):
-            return label
-        label = new

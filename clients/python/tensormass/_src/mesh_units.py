@@ -10,12 +10,13 @@ from tensormass._src.meshes import FloatArray
 _LARGE_M = 5.0
 
 
-def guess(points: FloatArray) -> float | None:
-    """Returns the unit [m] of points that are too large for metres: millimetres. None if they may be metres."""
+def guess_unit_m(points: FloatArray) -> float | None:
+    """Returns the unit [m] of points [n, 3] that are too far apart for metres (5 m): 1e-3, millimetres. None if they
+    may be metres."""
     return 1e-3 if float(np.ptp(points, axis=0).max()) > _LARGE_M else None
 
 
-def guessed(points: FloatArray, unit_m: float) -> str:
+def guess_in_words(points: FloatArray, unit_m: float) -> str:
     """Returns a guess in words."""
     size = " × ".join(f"{length:.3g}" for length in np.ptp(points, axis=0))
     return (

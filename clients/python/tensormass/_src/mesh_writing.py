@@ -12,7 +12,7 @@ from typing import IO
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
 from tensormass._src.mesh_formats.kinds import GMSH_NUMBERS, GMSH_ORDER, SET_PREFIX, VTK_NUMBERS
 from tensormass._src.meshes import ElementBlock, FloatArray, TriangleSurface
 

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.names import suggestion
 from tensormass._src import notebook
-from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.mesh_formats.kinds import ELEMENT_FIELDS
-from tensormass._src.names import suggestion
 from tensormass._src.shapes import SHAPES, Shape
 
 FloatArray = npt.NDArray[np.float64]

@@ -15,9 +15,9 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.names import suggestion
 from tensormass._src.meshes import FloatArray, node_indices
-from tensormass._src.names import suggestion
 from tensormass._src.packing import middle_ends, own_node_count
 from tensormass.v1 import scene_pb2
 

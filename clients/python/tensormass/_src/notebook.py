@@ -13,9 +13,10 @@ from typing import Any
 
 from google.protobuf.message import Message
 
+from tensormass._shared.status_text import recoveries_text
+from tensormass._shared.units import unit_of
 from tensormass._src.durations import DurationHistogram
 from tensormass._src.shapes import BY_NUMBER, Shape
-from tensormass._src.units import unit_of
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 #: A longer table ends with the number of rows that it leaves out.
@@ -198,16 +199,6 @@ def status_html(status: stream_pb2.SceneStatus) -> str:
     rows += [["warning", text] for text in status.warnings]
     rows += [[f"force on {tool.tool}", vector(tool.force_n, "N")] for tool in status.tools]
     return table(f"scene {status.scene}", rows)
-
-
-def recoveries_text(status: stream_pb2.SceneStatus) -> str:
-    """Describes the recoveries: their number, their steps, and the one that goes on now."""
-    parts = [str(status.recoveries), "1 step" if status.recovering_steps == 1 else f"{status.recovering_steps:,} steps"]
-    if status.held_steps:
-        parts.append(f"tissue held in {status.held_steps:,}")
-    if status.recovering and status.state != stream_pb2.SceneStatus.STATE_FAULTED:
-        parts.append("recovering now")
-    return ", ".join(parts)
 
 
 def state_name(status: stream_pb2.SceneStatus) -> str:

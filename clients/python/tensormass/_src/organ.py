@@ -6,15 +6,14 @@ They model no patient and no data set. Lengths in metres, z up, x towards the li
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from tensormass._src import interface, isosurface
-from tensormass._src.mesh_geometry import boundary
+from tensormass._src.mesh_geometry import boundary_surface
 from tensormass._src.meshes import FloatArray, TriangleSurface, VolumeMesh
 
-#: Name of the set of nodes that an organ's surroundings hold.
-HELD = "held"
 # Halvings that find a distance to rounding.
 _BISECTIONS = 60
 
@@ -51,21 +50,30 @@ class Focus:
 
 @dataclass(frozen=True)
 class Organ:
-    """A shape, the box around it, and the cell sizes of its volume and skin."""
+    """An organ of the built-in scenes: a shape, the box around it, and the cell sizes of its volume and skin.
 
+    `dataclasses.replace(tm.ORGANS["liver"], cell_m=0.004).volume(graded=False)` is a finer mesh of the demo's liver.
+    """
+
+    #: Name of the set of nodes that an organ's surroundings hold.
+    HELD: ClassVar[str] = "held"
+    #: Maps points [n, 3] m to numbers [n], positive inside of the organ.
     inside: isosurface.Implicit
     #: Positive where its surroundings hold the organ.
     held: isosurface.Implicit
+    #: Corners of the box, [3] m.
     lower_m: FloatArray
     upper_m: FloatArray
+    #: Edge of a cell of the volume and of the skin [m].
     cell_m: float
     skin_cell_m: float
+    #: Place where a graded volume has smaller cells; None: there is none.
     focus: Focus | None = None
 
     def volume(self, *, graded: bool) -> VolumeMesh:
         """Makes the tetrahedra that are simulated: those of `unfitted`, fitted to the part that is held. Its nodes are
-        the set `HELD`."""
-        return interface.fit(self.unfitted(graded=graded), self.held, HELD)
+        the set `HELD`. Positions are in metres."""
+        return interface.fit(self.unfitted(graded=graded), self.held, Organ.HELD)
 
     def unfitted(self, *, graded: bool) -> VolumeMesh:
         """Fills the organ with tetrahedra of one size, or graded towards the focus, which must exist then."""
@@ -83,7 +91,7 @@ class Organ:
     def skin(self) -> TriangleSurface:
         """Makes the visible surface."""
         fine = isosurface.fill(self.inside, self.lower_m, self.upper_m, self.skin_cell_m)
-        return isosurface.smooth(boundary(fine), self.inside, step_m=1e-4)
+        return isosurface.smooth(boundary_surface(fine), self.inside, step_m=1e-4)
 
 
 def liver(points: FloatArray) -> FloatArray:
@@ -128,6 +136,7 @@ _LIVER = Organ(
     liver, liver_held, np.array([-0.12, -0.085, -0.065]), np.array([0.125, 0.085, 0.065]), 0.0093, 0.0042, _ABOVE
 )
 # The liver has about 15,000 tetrahedra, 21,000 of one size, the kidney 5,600.
+#: Organs of the built-in scenes, by name.
 ORGANS = {
     "liver": _LIVER,
     "liver_tip": replace(_LIVER, focus=_LEFT_TIP),

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._shared.errors import InvalidArgumentError
 from tensormass._src import grids, meshes
 from tensormass._src.elevate import elevated, new_edges
-from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.shapes import BY_NUMBER
 from tensormass.v1 import scene_pb2
 
@@ -42,10 +42,19 @@ def unpack_mesh(packed: scene_pb2.PackedMesh, where: str = "mesh") -> meshes.Vol
     )
 
 
-def volume_mesh(body: scene_pb2.Body) -> meshes.VolumeMesh:
-    """Returns the mesh that the daemon makes of a body's message, before scale and translation: a grid is cut into
-    elements, and `element_order` adds nodes. The daemon also moves some of these to the skin; `SceneHandle.positions`
-    has them there."""
+def body_mesh(body: scene_pb2.Body) -> meshes.VolumeMesh:
+    """Returns the mesh that the daemon makes of a body's message: a grid is cut into elements, and `element_order` adds
+    nodes. Its nodes have the order of `SceneHandle.positions` and `SceneHandle.fields`.
+
+    Positions are in the mesh's own unit, before `scale` and `translation_m`. The daemon also moves some of the added
+    nodes to the skin; `SceneHandle.positions` has them there.
+
+    Args:
+        body: of `Scene.message`, with its mesh read: `tm.Scene.from_file("demo").body("liver")`.
+
+    Raises:
+        InvalidArgumentError: arrays that are cut off or do not match.
+    """
     mesh = _given_mesh(body)
     return elevated(mesh) if body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC else mesh
 

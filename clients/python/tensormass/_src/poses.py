@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import zmq
 
+from tensormass._shared.vectors import Vector, finite_numbers, quaternion, vector3
 from tensormass._src.streams import Stream
-from tensormass._src.vectors import Vector, finite_numbers, quaternion, vector3
 from tensormass.v1 import stream_pb2
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.names import suggestion
 from tensormass._src.meshes import BoolArray, FloatArray
-from tensormass._src.names import suggestion
 from tensormass._src.packing import middle_ends
 from tensormass.v1 import scene_pb2
 

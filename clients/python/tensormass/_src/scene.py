@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy.typing as npt
 
+from tensormass._shared.enums import enum_number
+from tensormass._shared.errors import InvalidArgumentError, MeshFileWarning, naming
+from tensormass._shared.files import read_bytes
+from tensormass._shared.names import as_name, suggestion
+from tensormass._shared.vectors import Vector, vector3
 from tensormass._src import findings, mesh_files, mesh_units, meshes, node_conditions, notebook, textures
 from tensormass._src.elastic_constants import young_poisson
-from tensormass._src.enums import enum_number
-from tensormass._src.errors import InvalidArgumentError, MeshFileWarning, naming
-from tensormass._src.files import read_bytes
 from tensormass._src.laws import DEFAULT_LAW, LAWS, LIVER, law_message
-from tensormass._src.names import as_name, suggestion
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
-from tensormass._src.scene_file import SceneFile, is_mesh_file
+from tensormass._src.scene_file import SceneFile
 from tensormass._src.solver_settings import Integrator, OnFault, Precision, set_fields
 from tensormass._src.ties import Nodes, make_attachment, make_contact
 from tensormass._src.tools import make_tool
-from tensormass._src.vectors import Vector, vector3
 from tensormass.v1 import scene_pb2
 
 if TYPE_CHECKING:
@@ -63,13 +63,13 @@ class Scene:
             NotFoundError: the file, or a mesh that it names, does not exist.
             InvalidArgumentError: a mistake; the message names the file and the path of the field.
         """
-        if is_mesh_file(path):
+        if SceneFile.is_mesh(path):
             mesh = mesh_files.read_mesh(Path(path))
             scene = Scene.from_mesh(mesh, name=as_name(Path(path).stem) or "scene")
-            unit_m = mesh_units.guess(mesh.nodes)
+            unit_m = mesh_units.guess_unit_m(mesh.nodes)
             if unit_m is not None:
                 scene.message.bodies[0].mesh.scale = unit_m
-                warnings.warn(f"{path}: {mesh_units.guessed(mesh.nodes, unit_m)}", MeshFileWarning, stacklevel=2)
+                warnings.warn(f"{path}: {mesh_units.guess_in_words(mesh.nodes, unit_m)}", MeshFileWarning, stacklevel=2)
             return scene
         return Scene(message=SceneFile.read(path).message())
 

@@ -13,11 +13,12 @@ from typing import Any, cast
 from google.protobuf import json_format
 from google.protobuf.descriptor import Descriptor
 
-from tensormass._src import demo, mesh_files, strict_yaml, textures
-from tensormass._src.errors import InvalidArgumentError, NotFoundError, naming
-from tensormass._src.files import read_bytes
+from tensormass._shared import strict_yaml
+from tensormass._shared.errors import InvalidArgumentError, NotFoundError, naming
+from tensormass._shared.files import read_bytes
+from tensormass._shared.scene_fields import checked_fields
+from tensormass._src import demo, mesh_files, textures
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
-from tensormass._src.scene_fields import checked_fields
 from tensormass.v1 import scene_pb2
 
 _YAML_ENDINGS = (".yaml", ".yml")
@@ -25,8 +26,12 @@ _YAML_ENDINGS = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class SceneFile:
-    """The content of a scene file: fields by name, before meshes are read."""
+    """The content of a scene file: fields by name, before meshes are read.
 
+    Change the fields, then make a scene of them: `tm.Scene(message=file.message())`.
+    """
+
+    #: Fields of the message `Scene` by their names in scene.proto, as the file has them: units are those of the names.
     fields: dict[str, Any]
     #: Folder to which mesh files are relative.
     directory: Path
@@ -38,11 +43,8 @@ class SceneFile:
     @staticmethod
     def read(path: str | Path) -> SceneFile:
         """Reads a scene file or a built-in scene. Raises the errors of `Scene.from_file`."""
-        directory: Path | None = None
-        builtin: str | None = None
-        if not Path(path).exists() and (found := demo.builtin_scene(str(path))) is not None:
-            builtin = str(path)
-            path, directory = found
+        if not Path(path).exists() and str(path) in demo.builtin_scenes():
+            return SceneFile.read_builtin(str(path))
         path = Path(path)
         try:
             text = path.read_text("utf-8")
@@ -54,18 +56,51 @@ class SceneFile:
             ) from None
         except (OSError, UnicodeDecodeError) as error:
             raise InvalidArgumentError(f"{path}: cannot be read: {error}") from error
-        return replace(SceneFile.parse(text, directory or path.parent, str(path)), builtin=builtin)
+        return SceneFile.parse(text, path.parent, str(path))
+
+    @staticmethod
+    def read_builtin(name: str) -> SceneFile:
+        """Reads a built-in scene, and never another file. Makes its meshes first if they are missing, which takes
+        seconds.
+
+        Raises:
+            NotFoundError: there is no built-in scene of this name.
+        """
+        found = demo.builtin_scene(name)
+        if found is None:
+            raise NotFoundError(f"there is no built-in scene {name!r}, only {', '.join(demo.builtin_scenes())}")
+        path, directory = found
+        return replace(SceneFile.parse(path.read_text("utf-8"), directory, str(path)), builtin=name)
 
     @staticmethod
     def parse(text: str, directory: Path, where: str) -> SceneFile:
-        """Parses the text of a scene file. Raises the errors of `read`."""
+        """Parses the text of a scene file.
+
+        Args:
+            directory: to which mesh files are relative.
+            where: name of the file in messages.
+
+        Raises:
+            InvalidArgumentError: not YAML, or not a mapping of fields.
+        """
         content = strict_yaml.load(text, where)
         if not isinstance(content, dict):
             raise InvalidArgumentError(f"{where}: a scene is a mapping of fields, starting with `name: ...`")
         return SceneFile(content, directory, where)
 
+    @staticmethod
+    def is_mesh(path: str | Path) -> bool:
+        """Tells whether a name, by its ending, is a bare mesh (`Scene.from_file` takes both) and not a scene file."""
+        suffix = Path(path).suffix.lower()
+        return suffix != "" and suffix not in _YAML_ENDINGS
+
     def message(self) -> scene_pb2.Scene:
-        """Checks the fields, reads the meshes and makes the message."""
+        """Checks the fields, reads the meshes and makes the message.
+
+        Raises:
+            NotFoundError: a mesh or a picture that a field names does not exist.
+            InvalidArgumentError: a mistake; the message names the file and the path of the field.
+        """
         message = scene_pb2.Scene()
         fields = checked_fields(self.fields, cast(Descriptor, message.DESCRIPTOR), self.where, "")
         try:
@@ -74,12 +109,6 @@ class SceneFile:
             raise InvalidArgumentError(f"{self.where}: {error}") from error
         _resolve_files(message, self)
         return message
-
-
-def is_mesh_file(path: str | Path) -> bool:
-    """Tells whether a name, by its ending, is a bare mesh and not a scene."""
-    suffix = Path(path).suffix.lower()
-    return suffix != "" and suffix not in _YAML_ENDINGS
 
 
 def _resolve_files(scene: scene_pb2.Scene, file: SceneFile) -> None:

@@ -11,10 +11,13 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src import defaults, findings, following, notebook
+from tensormass._shared import defaults
+from tensormass._shared.errors import FailedPreconditionError, InvalidArgumentError, NotFoundError, TensormassError
+from tensormass._shared.findings import key_of, of_results
+from tensormass._shared.vectors import Vector, vector3
+from tensormass._src import findings, following, notebook
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
 from tensormass._src.durations import DurationHistogram
-from tensormass._src.errors import FailedPreconditionError, InvalidArgumentError, NotFoundError, TensormassError
 from tensormass._src.fields import FieldName, Fields, field_numbers
 from tensormass._src.frames import Feedback, Frame, find_body, find_tool, frame_size_bytes
 from tensormass._src.poses import PoseSender, PoseSequence
@@ -22,7 +25,6 @@ from tensormass._src.scene_report import REPORT_FIELDS, report_path, write_repor
 from tensormass._src.step_record import StepRecord
 from tensormass._src.streams import Closing, Transport
 from tensormass._src.subscriptions import Subscription
-from tensormass._src.vectors import Vector, vector3
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 
@@ -91,8 +93,8 @@ class SceneHandle:
             raise InvalidArgumentError(f"count: expected 1 or more steps, got {count}")
         request = control_pb2.StepSceneRequest(scene=self.name, count=count)
         status = self._connection.call("StepScene", request, timeout_s=None).status
-        new = [one for one in findings.of_results(status) if findings.key_of(one) not in self._warned]
-        self._warned.update(findings.key_of(one) for one in new)
+        new = [one for one in of_results(status) if key_of(one) not in self._warned]
+        self._warned.update(key_of(one) for one in new)
         findings.warn_of(new)
         return status
 

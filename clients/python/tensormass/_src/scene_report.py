@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.files import replacing
+from tensormass._shared.plain import to_plain
 from tensormass._src.fields import FieldName, Fields
-from tensormass._src.files import replacing
-from tensormass._src.plain import to_plain
 from tensormass.v1 import scene_pb2, stream_pb2
 
 #: The fields that a report holds of each body.

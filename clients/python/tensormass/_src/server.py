@@ -7,10 +7,11 @@ from pathlib import Path
 
 import grpc
 
-from tensormass._src import errors, findings, notebook
-from tensormass._src.client_keys import KeysSource
+from tensormass._shared import errors
+from tensormass._shared.client_keys import KeysSource
+from tensormass._shared.processes import ChildProcess
+from tensormass._src import findings, notebook
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
-from tensormass._src.processes import ChildProcess
 from tensormass._src.scene import Scene
 from tensormass._src.scene_handle import SceneHandle
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2

@@ -101,6 +101,7 @@ _ALL = (
         ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)),
     ),
 )
+#: Shapes by name.
 SHAPES = {shape.name: shape for shape in _ALL}
 BY_MESHIO_TYPE = {shape.meshio_type: shape for shape in _ALL}
 BY_NUMBER = {shape.number: shape for shape in _ALL}

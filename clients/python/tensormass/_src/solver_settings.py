@@ -8,8 +8,8 @@ from typing import Any, Literal, cast
 from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import Message
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.scene_fields import checked_fields
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.scene_fields import checked_fields
 
 Integrator = Literal["implicit_euler", "bdf2", "implicit_midpoint", "quasi_static"]
 Precision = Literal["float", "double"]

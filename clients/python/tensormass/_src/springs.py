@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InternalError
+from tensormass._shared.errors import InternalError
 from tensormass.v1 import stream_pb2
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tensormass._src import defaults, notebook
+from tensormass._shared import defaults
+from tensormass._src import notebook
 from tensormass.v1 import scene_pb2, stream_pb2
 
 

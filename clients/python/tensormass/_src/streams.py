@@ -7,7 +7,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Literal, Self
 
-from tensormass._src.errors import (
+from tensormass._shared.errors import (
     UnavailableError,
 )
 

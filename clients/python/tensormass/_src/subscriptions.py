@@ -14,7 +14,7 @@ import zenoh.handlers
 import zmq
 from google.protobuf.message import DecodeError, Message
 
-from tensormass._src.errors import (
+from tensormass._shared.errors import (
     DeadlineExceededError,
 )
 from tensormass._src.streams import Stream

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tensormass._src.errors import InvalidArgumentError, MeshFileWarning
-from tensormass._src.extras import require
-from tensormass._src.mesh_repair import repair
+from tensormass._shared.errors import InvalidArgumentError, MeshFileWarning
+from tensormass._shared.extras import require
+from tensormass._shared.processes import ChildProcess
+from tensormass._src.mesh_repair import repair_mesh
 from tensormass._src.meshes import TriangleSurface, VolumeMesh
-from tensormass._src.processes import ChildProcess
 
 # fTetWild needs hours for more, and says nothing meanwhile.
 _MOST_TETRAHEDRA = 1e7
@@ -72,7 +72,7 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float, *, largest: boo
             nodes, tetrahedra = volume["nodes"], volume["tetrahedra"]
     if len(tetrahedra) == 0:
         raise InvalidArgumentError("the surface encloses no volume; close its holes first")
-    mesh = repair(VolumeMesh.from_tetrahedra(nodes, tetrahedra, "result of fTetWild"), largest=largest)
+    mesh = repair_mesh(VolumeMesh.from_tetrahedra(nodes, tetrahedra, "result of fTetWild"), largest=largest)
     parts = [note for note in mesh.notes if "separate part" in note]
     if parts:
         warnings.warn(f"the surface: {'; '.join(parts)}", MeshFileWarning, stacklevel=2)

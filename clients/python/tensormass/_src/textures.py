@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
 from tensormass._src.meshes import TriangleSurface
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
 from tensormass._src.meshes import node_indices
 from tensormass._src.packing import own_node_count
 from tensormass._src.solver_settings import set_fields

@@ -2,61 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Protocol, cast
+from typing import cast
 
-import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
 
-from tensormass._src.enums import enum_number
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.enums import enum_number
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.names import suggestion
+from tensormass._shared.vectors import Vector, finite_numbers, quaternion, vector3
 from tensormass._src.meshes import TriangleSurface
-from tensormass._src.names import suggestion
 from tensormass._src.packing import pack_triangles
-from tensormass._src.vectors import Vector, finite_numbers, quaternion, vector3
 from tensormass.v1 import scene_pb2
-
-
-class ToolShape(Protocol):
-    """What the messages of all kinds of tools have."""
-
-    tip_offset_m: scene_pb2.Vector3
-
-
-def shape_of(tool: scene_pb2.Tool) -> ToolShape:
-    """Returns the message of a tool's kind.
-
-    Raises:
-        InvalidArgumentError: the tool has no kind.
-    """
-    kind = tool.WhichOneof("kind")
-    if kind is None:
-        raise InvalidArgumentError(f"tool {tool.name!r} has no kind; give one of {', '.join(_kinds())}")
-    return cast("ToolShape", getattr(tool, kind))
-
-
-def radius_m(tool: scene_pb2.Tool) -> float:
-    """Returns the radius of a tool; of a solid half its smallest size [m].
-
-    Raises:
-        InvalidArgumentError: the tool has no kind, or no size.
-    """
-    shape = shape_of(tool)
-    if isinstance(shape, scene_pb2.BoxSolid):
-        return min(shape.size_x_m, shape.size_y_m, shape.size_z_m) / 2
-    if isinstance(shape, scene_pb2.MeshSolid):
-        positions = np.frombuffer(shape.surface.packed.vertex_positions, "<f8").reshape(-1, 3)
-        if len(positions) == 0:
-            raise InvalidArgumentError(f"tool {tool.name!r} has a surface without vertices")
-        scale = shape.scale if shape.HasField("scale") else 1.0
-        return float(scale * np.ptp(positions, axis=0).min() / 2)
-    if isinstance(shape, scene_pb2.Plane):
-        raise InvalidArgumentError(f"tool {tool.name!r} is a plane, which has no size")
-    return float(shape.radius_m)  # type: ignore[attr-defined]  # all other kinds are thin
-
-
-def movable_tools(scene: scene_pb2.Scene) -> list[scene_pb2.Tool]:
-    """Returns the tools that clients can move."""
-    return [tool for tool in scene.tools if not tool.fixed]
 
 
 def make_tool(

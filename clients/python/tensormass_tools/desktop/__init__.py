@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.extras import require
+from tensormass import InvalidArgumentError
+from tensormass._shared.extras import require
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

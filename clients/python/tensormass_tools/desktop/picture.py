@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pyvista as pv
 
-from tensormass._src.frames import Feedback, Frame
+from tensormass import Feedback, Frame
 from tensormass.v1 import stream_pb2
 from tensormass_gateway.normals import Triangles
 from tensormass_tools.desktop.shapes import pose_matrix, surface_mesh, tool_mesh

@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pyvista as pv
 
-from tensormass._src.errors import InternalError
-from tensormass._src.meshes import FloatArray
+from tensormass import FloatArray, InternalError
 from tensormass.v1 import scene_pb2, stream_pb2
 
 # Edge of the square that stands for a plane, and length of the shaft that is only drawn [scene radii].

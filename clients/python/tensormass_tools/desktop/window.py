@@ -12,12 +12,17 @@ import numpy as np
 import numpy.typing as npt
 import pyvista as pv
 
-from tensormass._src.errors import DeadlineExceededError, InvalidArgumentError, NotFoundError
-from tensormass._src.files import replacing
-from tensormass._src.frames import Frame
-from tensormass._src.scene import Scene
-from tensormass._src.scene_handle import SceneHandle
-from tensormass._src.server import Server, connect
+from tensormass import (
+    DeadlineExceededError,
+    Frame,
+    InvalidArgumentError,
+    NotFoundError,
+    Scene,
+    SceneHandle,
+    Server,
+    connect,
+)
+from tensormass._shared.files import replacing
 from tensormass.v1 import scene_pb2
 from tensormass_gateway.surface import MismatchError, rest_positions
 from tensormass_tools.desktop.picture import Picture

@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from tensormass._src.client_keys import CLOCK_SKEW_S
+from tensormass._shared.client_keys import CLOCK_SKEW_S
 
 AUTHORITY_DAYS = 3650
 

@@ -6,8 +6,8 @@ import argparse
 import time
 from pathlib import Path
 
-from tensormass._src.client_keys import date_of
-from tensormass._src.extras import require
+from tensormass._shared.client_keys import date_of
+from tensormass._shared.extras import require
 from tensormass_tools.output import print_json
 from tensormass_tools.parser import Parser
 

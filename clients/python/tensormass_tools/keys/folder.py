@@ -26,8 +26,8 @@ from typing import Any
 
 import zmq
 
-from tensormass._src.client_keys import DAEMON_NAME, ClientKeys, write_secret
-from tensormass._src.errors import AlreadyExistsError, InvalidArgumentError, NotFoundError
+from tensormass import AlreadyExistsError, InvalidArgumentError, NotFoundError
+from tensormass._shared.client_keys import DAEMON_NAME, ClientKeys, write_secret
 from tensormass_tools.keys.certificates import Certified, make_authority, make_client, make_server
 
 ROLES = ("operator", "hand", "viewer", "recorder", "metrics")

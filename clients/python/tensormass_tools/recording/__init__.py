@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tensormass._src.extras import require
+from tensormass._shared.extras import require
 from tensormass_tools import presets
 from tensormass_tools.daemon_arguments import add_daemon_arguments
 

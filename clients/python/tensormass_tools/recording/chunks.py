@@ -24,7 +24,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 from mcap.records import Message as McapMessage
 
-from tensormass._src.errors import InvalidArgumentError, NotFoundError, ResourceExhaustedError
+from tensormass import InvalidArgumentError, NotFoundError, ResourceExhaustedError
 from tensormass.v1 import recording_pb2, scene_pb2, stream_pb2
 
 #: Message of each channel.

@@ -21,7 +21,7 @@ from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
-from tensormass._src.errors import InvalidArgumentError, ResourceExhaustedError
+from tensormass import InvalidArgumentError, ResourceExhaustedError
 from tensormass.v1 import recording_pb2, scene_pb2
 from tensormass_tools.recording.chunks import CHANNELS, DAMAGE, Channels, chunk_content, chunk_places, whole_bytes
 

@@ -21,7 +21,7 @@ from typing import TypeVar
 
 from google.protobuf.message import Message
 
-from tensormass._src.errors import InvalidArgumentError, ResourceExhaustedError
+from tensormass import InvalidArgumentError, ResourceExhaustedError
 from tensormass.v1 import recording_pb2, stream_pb2
 from tensormass_gateway.player import Mark
 from tensormass_gateway.requests import is_name

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.files import replacing
+from tensormass import InvalidArgumentError
+from tensormass._shared.files import replacing
 from tensormass_tools.output import check_writable, print_json
 from tensormass_tools.recording.file import RecordingReader
 from tensormass_tools.recording.series import Curve, Series, read_series

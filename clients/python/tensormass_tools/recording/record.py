@@ -21,11 +21,17 @@ from typing import Any
 
 import grpc
 
-from tensormass._src import errors
-from tensormass._src.connection import LOAD_TIMEOUT_S
-from tensormass._src.processes import end_explained
-from tensormass._src.scene_handle import SceneHandle
-from tensormass._src.server import Server
+from tensormass import (
+    LOAD_TIMEOUT_S,
+    DeadlineExceededError,
+    InvalidArgumentError,
+    NotFoundError,
+    SceneHandle,
+    Server,
+    TensormassError,
+)
+from tensormass._shared.errors import from_rpc_error
+from tensormass._shared.processes import end_explained
 from tensormass.v1 import control_pb2, recording_pb2, stream_pb2
 from tensormass_tools import presets
 from tensormass_tools.daemon_arguments import daemon_of
@@ -47,24 +53,24 @@ _STEPS_A_CALL = 1000
 def run(args: argparse.Namespace) -> int:
     """Records. Returns 0 if no step was lost."""
     if args.output.suffix != ".mcap":
-        raise errors.InvalidArgumentError(f"--output {args.output}: must end in .mcap")
+        raise InvalidArgumentError(f"--output {args.output}: must end in .mcap")
     check_writable("--output", args.output)
     if args.steps is not None and not 0 < args.steps <= _MOST_STEPS:
-        raise errors.InvalidArgumentError(f"--steps {args.steps}: must be 1 to {_MOST_STEPS}")
+        raise InvalidArgumentError(f"--steps {args.steps}: must be 1 to {_MOST_STEPS}")
     if args.seconds is not None and not 0 < args.seconds <= _MOST_STEPS:
-        raise errors.InvalidArgumentError(f"--seconds {args.seconds:g}: must be positive")
+        raise InvalidArgumentError(f"--seconds {args.seconds:g}: must be positive")
     if not 0 <= args.check_every < 2**32:
-        raise errors.InvalidArgumentError(f"--check-every {args.check_every}: must be 0 or more")
+        raise InvalidArgumentError(f"--check-every {args.check_every}: must be 0 or more")
     if not args.max_size > 0:
-        raise errors.InvalidArgumentError(f"--max-size {args.max_size}: must be positive")
+        raise InvalidArgumentError(f"--max-size {args.max_size}: must be positive")
     if args.keep is not None and args.keep < 1:
-        raise errors.InvalidArgumentError(f"--keep {args.keep}: at least the newest file must stay")
+        raise InvalidArgumentError(f"--keep {args.keep}: at least the newest file must stay")
     if args.attach is not None and args.server is None:
-        raise errors.InvalidArgumentError("--attach needs --server: which daemon has the scene?")
+        raise InvalidArgumentError("--attach needs --server: which daemon has the scene?")
     scene = presets.read_scene(args.scene, args.preset)
     lockstep = args.lockstep or scene.message.stepping.lockstep
     if lockstep and args.steps is None and args.attach is None and args.server is None:
-        raise errors.InvalidArgumentError(f"scene {scene.name!r} steps only when asked: give --steps")
+        raise InvalidArgumentError(f"scene {scene.name!r} steps only when asked: give --steps")
     with daemon_of(args, zenoh=True) as server, end_explained(server.process, server.log_file):
         if args.attach is not None:
             handle = server.scene(args.attach)
@@ -80,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
                 recorder.record()
         finally:
             if args.attach is None:
-                with contextlib.suppress(errors.TensormassError):
+                with contextlib.suppress(TensormassError):
                     handle.unload()
     summary = recorder.summary()
     if args.json:
@@ -174,7 +180,7 @@ class Recorder:
             with contextlib.suppress(queue.Empty):
                 self._add(writer, self._queue.get(timeout=_WAIT_S))
             if time.monotonic() >= next_status_s:
-                with contextlib.suppress(errors.NotFoundError):  # unloaded: the stream ends too
+                with contextlib.suppress(NotFoundError):  # unloaded: the stream ends too
                     status = self._handle.status()
                     writer.add("/status", status, status.server_time_ns)
                 next_status_s = time.monotonic() + _STATUS_S
@@ -210,7 +216,7 @@ class Recorder:
         """Runs the work of a thread. Its error ends the recording, and `_add` raises it."""
         try:
             work()
-        except errors.TensormassError as error:
+        except TensormassError as error:
             self._put(error)
 
     def _read(self, stream: Any) -> None:  # noqa: ANN401
@@ -219,7 +225,7 @@ class Recorder:
                 self._put(response)
         except grpc.RpcError as error:
             if not self._ends.is_set():
-                self._put(errors.from_rpc_error(error))
+                self._put(from_rpc_error(error))
         finally:
             self._ends.set()
 
@@ -228,7 +234,7 @@ class Recorder:
             plane = self._server.data_plane
             with plane.subscribe(self._handle.name, "frame", stream_pb2.Frame, "zeromq") as frames:
                 while not self._ends.is_set():
-                    with contextlib.suppress(errors.DeadlineExceededError):
+                    with contextlib.suppress(DeadlineExceededError):
                         self._put(frames.receive(_WAIT_S))
 
         self._guarded(frames)
@@ -243,12 +249,12 @@ class Recorder:
                 return
 
     def _drain(self, writer: RecordingFiles) -> None:
-        with contextlib.suppress(queue.Empty, errors.TensormassError):
+        with contextlib.suppress(queue.Empty, TensormassError):
             while True:
                 self._add(writer, self._queue.get_nowait())
 
     def _add(self, writer: RecordingFiles, item: Any) -> None:  # noqa: ANN401
-        if isinstance(item, errors.TensormassError):
+        if isinstance(item, TensormassError):
             raise item
         if isinstance(item, stream_pb2.Frame):
             writer.add("/frames", item, item.server_time_ns)
@@ -277,4 +283,4 @@ def _explained() -> Iterator[None]:
     try:
         yield
     except grpc.RpcError as error:
-        raise errors.from_rpc_error(error) from error
+        raise from_rpc_error(error) from error

@@ -14,12 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from tensormass._src.connection import LOAD_TIMEOUT_S
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.meshes import FloatArray
-from tensormass._src.processes import end_explained
-from tensormass._src.scene_handle import SceneHandle
-from tensormass._src.server import Server
+from tensormass import LOAD_TIMEOUT_S, FloatArray, InvalidArgumentError, SceneHandle, Server
+from tensormass._shared.processes import end_explained
 from tensormass.v1 import control_pb2, recording_pb2, scene_pb2
 from tensormass_tools.daemon_arguments import daemon_of
 from tensormass_tools.output import load_line, print_json

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tensormass._src.meshes import FloatArray
+from tensormass import FloatArray
 from tensormass.v1 import recording_pb2, stream_pb2
 from tensormass_tools.output import force_n
 from tensormass_tools.recording.file import RecordingReader

@@ -9,9 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from tensormass._src.errors import InvalidArgumentError, TensormassError, naming
-from tensormass._src.launching import launch
-from tensormass._src.scene_file import SceneFile, is_mesh_file
+from tensormass import InvalidArgumentError, SceneFile, TensormassError, launch
+from tensormass._shared.errors import naming
 from tensormass.v1 import scene_pb2
 from tensormass_tools.output import print_json
 from tensormass_tools.trade import report
@@ -27,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     """Measures, writes and prints. Returns 0 if one setting is within the tolerance and one within the budget."""
     if args.combinations is not None and args.combinations < 0:
         raise InvalidArgumentError(f"--combinations {args.combinations}: must not be negative")
-    if is_mesh_file(args.scene):
+    if SceneFile.is_mesh(args.scene):
         raise InvalidArgumentError(f"{args.scene}: a bare mesh; write a scene file that says what happens to it")
     file = SceneFile.read(args.scene)
     message = file.message()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from tensormass._src.files import replacing
+from tensormass._shared.files import replacing
 from tensormass_tools.trade import html, report
 from tensormass_tools.trade.outcome import FASTEST, MOST_ACCURATE, Outcome
 

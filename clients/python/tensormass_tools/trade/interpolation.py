@@ -13,8 +13,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.meshes import FloatArray, VolumeMesh
-from tensormass._src.shapes import SHAPES
+from tensormass import SHAPES, FloatArray, VolumeMesh
 
 _Indices = npt.NDArray[np.int64]
 # Tolerance for a point inside an element, for rounding.

@@ -15,14 +15,11 @@ from typing import Any, cast
 import yaml
 from google.protobuf.descriptor import Descriptor
 
-from tensormass._src import defaults, mesh_files
-from tensormass._src.enums import short_name
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.files import replacing
-from tensormass._src.names import suggestion
-from tensormass._src.organ import HELD, ORGANS
-from tensormass._src.scene_file import SceneFile
-from tensormass._src.shapes import BY_NUMBER, SHAPES
+from tensormass import ORGANS, SHAPES, InvalidArgumentError, Organ, SceneFile, write_mesh
+from tensormass._shared import defaults
+from tensormass._shared.enums import short_name
+from tensormass._shared.files import replacing
+from tensormass._shared.names import suggestion
 from tensormass.v1 import scene_pb2
 from tensormass_tools.trade.scene_edits import (
     Value,
@@ -224,7 +221,7 @@ class Knobs:
             grids.append("grid" in own)
             if "grid" not in own and self._organ(own) is None:
                 reasons.append(f"body {body.name!r}: its mesh comes from a file")
-            elif _names_single_nodes(body, carried=() if "grid" in own else (HELD,)):
+            elif _names_single_nodes(body, carried=() if "grid" in own else (Organ.HELD,)):
                 reasons.append(f"body {body.name!r}: node numbers or element fields belong to its mesh as it is")
         if reasons:
             self.without["resolution"] = "; ".join(reasons)
@@ -354,7 +351,7 @@ class Knobs:
         if path not in self._made:
             self.mesh_folder.mkdir(parents=True, exist_ok=True)
             organ = replace(ORGANS[name], cell_m=ORGANS[name].cell_m / factor)
-            mesh_files.write_mesh(path, organ.volume(graded=graded))
+            write_mesh(path, organ.volume(graded=graded))
             self._made.add(path)
         return str(path)
 
@@ -405,7 +402,8 @@ def _names_single_nodes(body: scene_pb2.Body, carried: Sequence[str]) -> bool:
 def _shape_of_grid(body: scene_pb2.Body) -> str:
     if body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC:
         return "quadratic_tetrahedron"
-    return BY_NUMBER[body.mesh.grid.shape or scene_pb2.SHAPE_TETRAHEDRON].name
+    number = body.mesh.grid.shape or scene_pb2.SHAPE_TETRAHEDRON
+    return short_name(scene_pb2.Shape.DESCRIPTOR, number)
 
 
 def _is_tetrahedral(body: scene_pb2.Body) -> bool:

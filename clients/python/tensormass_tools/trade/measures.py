@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tensormass._src.meshes import BoolArray, FloatArray
+from tensormass import BoolArray, FloatArray
 from tensormass_tools.trade.recording import Recording
 
 # The direction of a force counts while the force is above this share of its largest.

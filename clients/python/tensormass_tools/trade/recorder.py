@@ -12,13 +12,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from tensormass._src import defaults, mesh_geometry, meshes
-from tensormass._src.durations import DurationHistogram
-from tensormass._src.errors import FailedPreconditionError, TensormassError, UnavailableError
-from tensormass._src.meshes import FloatArray
-from tensormass._src.packing import volume_mesh
-from tensormass._src.scene_handle import SceneHandle
-from tensormass._src.server import Server
+from tensormass import (
+    DurationHistogram,
+    FailedPreconditionError,
+    FloatArray,
+    SceneHandle,
+    Server,
+    TensormassError,
+    UnavailableError,
+    VolumeMesh,
+    body_mesh,
+    signed_volumes,
+)
+from tensormass._shared import defaults
 from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_tools.trade.energy import EnergyMeter
 from tensormass_tools.trade.interpolation import Interpolation
@@ -40,7 +46,7 @@ class Recorder:
     def __init__(self, server: Server, scene: scene_pb2.Scene, script: Script) -> None:
         self._server = server
         self._script = script
-        volumes = [volume_mesh(body) for body in scene.bodies]
+        volumes = [body_mesh(body) for body in scene.bodies]
         self._points = [rest_nodes(body, volume.nodes) for body, volume in zip(scene.bodies, volumes, strict=True)]
         #: Volume of each point [m³], the weight in means: [body][point].
         self.weights = [node_volumes(volume) for volume in volumes]
@@ -103,7 +109,7 @@ class Recorder:
         finally:
             handle.unload()
 
-    def interpolations(self, volumes: list[meshes.VolumeMesh]) -> list[Interpolation]:
+    def interpolations(self, volumes: list[VolumeMesh]) -> list[Interpolation]:
         """Returns the interpolations to the points of each body. The last few are kept."""
         digest = hashlib.sha256()
         for volume in volumes:
@@ -139,7 +145,7 @@ class _Run:
         self._handle = handle
         self._names = [body.name for body in scene.bodies]
         self._rest = [handle.positions(name) for name in self._names]
-        of_message = [volume_mesh(body) for body in scene.bodies]
+        of_message = [body_mesh(body) for body in scene.bodies]
         self._volumes = [replace(v, nodes=rest) for v, rest in zip(of_message, self._rest, strict=True)]
         self._interpolations = recorder.interpolations(self._volumes)
         self._weights = recorder.weights
@@ -302,8 +308,8 @@ class _Run:
 
     def _volume_share(self, body: int, nodes: FloatArray) -> float:
         volume = self._volumes[body]
-        now = mesh_geometry.signed_volumes(replace(volume, nodes=nodes)).sum()
-        return float(now / mesh_geometry.signed_volumes(volume).sum())
+        now = signed_volumes(replace(volume, nodes=nodes)).sum()
+        return float(now / signed_volumes(volume).sum())
 
 
 def _felt(status: stream_pb2.SceneStatus, tool: str | None) -> tuple[FloatArray, FloatArray]:
@@ -324,11 +330,11 @@ def _along_own_direction(means: list[FloatArray]) -> FloatArray:
     return path @ (mean / length) if length > 0 else np.zeros(len(path))
 
 
-def node_volumes(mesh: meshes.VolumeMesh) -> FloatArray:
+def node_volumes(mesh: VolumeMesh) -> FloatArray:
     """Divides the volume of each element among its nodes, [node_count] m³."""
     weights = np.zeros(len(mesh.nodes))
     first = 0
-    volumes = mesh_geometry.signed_volumes(mesh)
+    volumes = signed_volumes(mesh)
     for shape, elements in mesh.blocks:
         share = volumes[first : first + len(elements)] / shape.node_count
         np.add.at(weights, elements, share[:, None])

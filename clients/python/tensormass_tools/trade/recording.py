@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from tensormass._src.meshes import FloatArray
+from tensormass import FloatArray
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
-from tensormass._src.errors import InvalidArgumentError, TensormassError
+from tensormass import InvalidArgumentError, TensormassError
 from tensormass_tools.trade.knobs import Knobs
 from tensormass_tools.trade.measures import Errors, compare, richardson
 from tensormass_tools.trade.recorder import Recorder

@@ -17,12 +17,10 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from tensormass._src import defaults, mesh_geometry
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.meshes import BoolArray, FloatArray
-from tensormass._src.packing import volume_mesh
-from tensormass._src.tools import movable_tools, radius_m, shape_of
+from tensormass import BoolArray, FloatArray, InvalidArgumentError, body_mesh, boundary_surface
+from tensormass._shared import defaults
 from tensormass.v1 import scene_pb2
+from tensormass_tools.tool_sizes import movable_tools, radius_m, shape_of
 
 # Shares of the duration at which the tool starts to move, is at its deepest, starts back, and is back.
 _PATH_SHARES = (0.35, 0.6, 0.75, 0.9)
@@ -187,9 +185,7 @@ def _press(
     start = np.array([tool.position_m.x, tool.position_m.y, tool.position_m.z])
     shape, radius, q = shape_of(tool), radius_m(tool), tool.orientation
     centre = start + _rotated(q, np.array([shape.tip_offset_m.x, shape.tip_offset_m.y, shape.tip_offset_m.z]))
-    surface = np.concatenate(
-        [rest_nodes(body, mesh_geometry.boundary(volume_mesh(body)).vertices) for body in scene.bodies]
-    )
+    surface = np.concatenate([rest_nodes(body, boundary_surface(body_mesh(body)).vertices) for body in scene.bodies])
     way = surface[np.linalg.norm(surface - centre, axis=1).argmin()] - centre
     distance = float(np.linalg.norm(way))
     lengths = [distance + (depth - 1) * radius for depth in press_radii]

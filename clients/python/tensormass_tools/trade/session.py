@@ -9,10 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from tensormass._src import defaults
-from tensormass._src.errors import InvalidArgumentError, NotConvergedError, TensormassError
-from tensormass._src.scene_file import SceneFile
-from tensormass._src.server import Server
+from tensormass import InvalidArgumentError, NotConvergedError, SceneFile, Server, TensormassError
+from tensormass._shared import defaults
 from tensormass.v1 import scene_pb2
 from tensormass_tools.trade import reference, report, sweep
 from tensormass_tools.trade.arguments import (

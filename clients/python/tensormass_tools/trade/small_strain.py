@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tensormass._src.laws import LAWS
+from tensormass import LAWS
 from tensormass.v1 import scene_pb2
 
 #: Laws with Young's modulus and Poisson's ratio as constants. They are equal for small strains.

@@ -18,10 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.files import replacing
-from tensormass._src.processes import find_program
-from tensormass._src.server import Server
+from tensormass import InvalidArgumentError, Server
+from tensormass._shared.files import replacing
+from tensormass._shared.processes import find_program
 from tensormass.v1 import scene_pb2
 from tensormass_tools.trade.measures import Errors
 from tensormass_tools.trade.recording import Costs, Recording

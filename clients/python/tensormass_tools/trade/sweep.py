@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tensormass._src.meshes import FloatArray
+from tensormass import FloatArray
 from tensormass_tools.trade.knobs import SOLVE_KNOBS, Knobs, Setting
 from tensormass_tools.trade.scene_edits import Value
 from tensormass_tools.trade.store import Measurement

@@ -12,6 +12,8 @@ from tensormass._src.mesh_formats.raw import FormatError
 
 #: [ending]: module of this folder that reads it.
 READERS = {".nrrd": "nrrd", ".nhdr": "nrrd", ".nii": "nifti", ".nii.gz": "nifti"}
+#: Endings of the names of label maps.
+LABEL_ENDINGS = tuple(READERS)
 
 
 def reader_of(path: Path) -> str | None:

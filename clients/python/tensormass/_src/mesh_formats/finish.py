@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._shared.names import as_name
 from tensormass._src.mesh_formats.kinds import ELEMENT_FIELDS, FIELD_ALIASES, KINDS, SET_PREFIX, VOLUMES, plain
 from tensormass._src.mesh_formats.raw import Block, Floats, FormatError, Ints, Raw
-from tensormass._src.names import as_name
 
 _FILL = "if it is a closed surface, fill it with `tensormass mesh --edge LENGTH`"
 # VTK's voxel counts x fastest; a hexahedron goes around each face.

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from tensormass._src.errors import InvalidArgumentError, NotFoundError
+from tensormass._shared.errors import InvalidArgumentError, NotFoundError
 
 # Folders whose files are streams, such as standard output.
 _SYSTEM_FOLDERS = ("dev", "proc")

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.label_formats.content import Labels, Segment
-from tensormass._src.mesh_repair import MIN_PART
-from tensormass._src.names import suggestion
+from tensormass import InvalidArgumentError, Labels, Segment
+from tensormass._shared.components import MIN_PART
+from tensormass._shared.names import suggestion
 
 if TYPE_CHECKING:
-    from tensormass._src.meshes import BoolArray, FloatArray
+    from tensormass import BoolArray, FloatArray
 
 # Voxels around a segment that are looked at, too.
 _MARGIN = 2

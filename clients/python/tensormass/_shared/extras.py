@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Iterable
 
-from tensormass._src.errors import NotFoundError
+from tensormass._shared.errors import NotFoundError
 
 #: [extra of pyproject.toml]: its packages, [name in messages]: name of its module.
 EXTRAS = {

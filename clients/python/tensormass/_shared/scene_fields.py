@@ -8,10 +8,10 @@ from typing import Any, cast
 
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
-from tensormass._src.enums import enum_number
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.names import suggestion
-from tensormass._src.units import in_si, unit_of
+from tensormass._shared.enums import enum_number
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.names import suggestion
+from tensormass._shared.units import in_si, unit_of
 
 _MAX_UINT32 = 2**32 - 1
 

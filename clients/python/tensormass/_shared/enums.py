@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from google.protobuf.descriptor import EnumDescriptor
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.names import suggestion
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.names import suggestion
 
 
 def enum_number(enum: EnumDescriptor, value: object, where: str) -> int:

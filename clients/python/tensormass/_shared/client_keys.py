@@ -17,8 +17,8 @@ import grpc
 import zenoh
 import zmq
 
-from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.secret_files import read_secret
+from tensormass._shared.errors import InvalidArgumentError
+from tensormass._shared.secret_files import read_secret
 
 #: The name in every daemon's certificate. Clients reach daemons under many names; this one tells that it is a daemon.
 DAEMON_NAME = "tensormassd"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
 from tensormass.v1 import scene_pb2
 
 Vector = Sequence[float] | npt.NDArray[np.floating]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
 
 _OTHERS = 0o007
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.meshes import BoolArray, FloatArray, TriangleSurface
+from tensormass import BoolArray, FloatArray, TriangleSurface
 
 if TYPE_CHECKING:
-    from tensormass._src.segments import Chosen
+    from tensormass_tools.segments import Chosen
 
 # Taubin's weights (his example): they keep what is longer than about ten edges, and remove the steps between voxels.
 _SHRINK, _GROW = 0.5, -0.53

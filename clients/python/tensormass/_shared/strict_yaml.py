@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._shared.errors import InvalidArgumentError
 
 
 def load(text: str, where: str) -> Any:  # noqa: ANN401

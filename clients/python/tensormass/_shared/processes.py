@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
-from tensormass._src.errors import InternalError, NotFoundError, UnavailableError
+from tensormass._shared.errors import InternalError, NotFoundError, UnavailableError
 
 # Programs and viewer inside a wheel of `make wheel`. A checkout has no such folder.
 BUNDLE = Path(__file__).resolve().parents[1] / "_bundle"
