@@ -37,6 +37,7 @@ def main() -> int:
     )
     if code == 0:
         for name in (
+            "adjustment",
             "finding",
             "gateway",
             "guard",

@@ -14,6 +14,7 @@ try {
       `--proto_path=${join(here, "..", "..", "proto")}`,
       `--es_out=${out}`,
       "--es_opt=target=ts,import_extension=none",
+      "tensormass/v1/adjustment.proto",
       "tensormass/v1/finding.proto",
       "tensormass/v1/guard.proto",
       "tensormass/v1/scene.proto",

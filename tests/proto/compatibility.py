@@ -4,8 +4,8 @@
     python tests/proto/compatibility.py --release   record the present protocol as the released one
 
 `released/` holds the protocol of the last release without comments. Frames and poses carry field numbers; scene files
-carry field names. So neither the number nor the name of a field may change, and a removed field must leave both
-reserved. Additions are always allowed.
+and the gateway's JSON carry field names. So neither the number nor the name of a field may change, and a removed field
+must leave both reserved. Additions are always allowed.
 """
 
 from __future__ import annotations

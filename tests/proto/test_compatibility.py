@@ -116,6 +116,14 @@ def test_the_protocol_keeps_what_was_released() -> None:
     assert not problems, "\n".join(problems)
 
 
+def test_every_file_of_the_protocol_has_a_released_baseline() -> None:
+    present, released = (
+        {path.relative_to(folder) for path in folder.rglob("*.proto")}
+        for folder in (compatibility.PRESENT, compatibility.RELEASED)
+    )
+    assert present == released, "record a new file with `python tests/proto/compatibility.py --release`"
+
+
 @pytest.mark.parametrize("case", BREAKING)
 def test_a_breaking_change_is_refused(case: str, tmp_path: Path) -> None:
     old, new, message = BREAKING[case]

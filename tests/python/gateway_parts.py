@@ -10,8 +10,9 @@ from typing import Any
 
 import aiohttp
 from fake_daemon import FakeDaemon, frame_of, triangle_topology
+from google.protobuf import json_format
 
-from tensormass.v1 import stream_pb2
+from tensormass.v1 import gateway_pb2, stream_pb2
 from tensormass_gateway.gateway import Gateway
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.outbox import Stream
@@ -23,6 +24,17 @@ OPERATOR_TOKEN = "an-operators-token"
 def options(viewer: Path, control: str = "127.0.0.1:1", **change: object) -> GatewayOptions:
     given: dict[str, Any] = {"token": TOKEN, "operator_token": OPERATOR_TOKEN, "poll_interval_s": 0.05, **change}
     return GatewayOptions(control=control, viewer=viewer, **given)
+
+
+def as_described(text: dict[str, Any]) -> dict[str, Any]:
+    """Returns a text message of the gateway. It must be one of gateway.proto, with all fields that are always there."""
+    fields = {name: value for name, value in text.items() if name != "type"}
+    message = json_format.ParseDict({text["type"]: fields}, gateway_pb2.GatewayMessage())
+    described = getattr(message, text["type"]).DESCRIPTOR.fields
+    # Only the result of a load has findings.
+    always = {field.name for field in described if not field.has_presence and field.name != "findings"}
+    assert always <= fields.keys(), f"{text} lacks {always - fields.keys()}"
+    return text
 
 
 class Page:
@@ -91,7 +103,7 @@ class Page:
         if message.type is aiohttp.WSMsgType.BINARY:
             self._binaries.append(message.data)
         elif message.type is aiohttp.WSMsgType.TEXT:
-            self._texts.append(json.loads(message.data))
+            self._texts.append(as_described(json.loads(message.data)))
         else:
             raise AssertionError(f"the gateway closed: {message}")
 

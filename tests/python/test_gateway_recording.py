@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -63,6 +64,13 @@ async def status_of_state(page: Page, state: int) -> stream_pb2.SceneStatus:
 
 def is_head(**wanted: Any) -> Any:  # noqa: ANN401
     return lambda message: message["type"] == "head" and wanted.items() <= message.items()
+
+
+@asynchronous
+async def test_a_file_whose_name_is_not_utf8_is_shown(viewer: Path, path: Path) -> None:
+    path = path.rename(path.with_name(os.fsdecode(b"liver\xff.mcap")))
+    async with playing(viewer, path) as gateway, browse(gateway, "liver") as page:
+        assert page.daemon["recording"]["file"] == r"liver\udcff.mcap"
 
 
 @asynchronous

@@ -12,7 +12,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tensormass_gateway.requests import finite_number
+from google.protobuf import struct_pb2
+
+from tensormass.v1 import gateway_pb2
+from tensormass_gateway.requests import finite_number, printable
+
+_FIELDS = gateway_pb2.FrameChoice.DESCRIPTOR.fields_by_name.keys()
 
 MIN_RATE_HZ = 0.1
 """A viewer that wants fewer frames than this disconnects in between."""
@@ -86,16 +91,22 @@ class Choice:
                 limits = f"from {MIN_DETAIL:g} to {MAX_DETAIL:g}"
                 raise ChoiceError(f"detail {_shown(fields['detail'])} is not a share of the triangles {limits}")
             fields["detail"] = round(detail, 2)
-        if unknown := fields.keys() - {"codec", "rate_hz", "normals", "detail"}:
+        if unknown := fields.keys() - _FIELDS:
             raise ChoiceError(f"{_shown(min(unknown))} is unknown; a viewer chooses codec, rate_hz, normals and detail")
         if "codec" in fields:
             fields["codec"] = Codec(fields["codec"])
         return replace(self, **fields)
 
-    def message(self, error: str = "") -> dict[str, Any]:
+    def message(self, error: str = "") -> gateway_pb2.ChosenFrames:
         """Returns the answer to a viewer: the choice that holds now, and why it did not change."""
-        fields = {"codec": str(self.codec), "rate_hz": self.rate_hz, "normals": self.normals, "detail": self.detail}
-        return {"type": "frames", **fields, "error": error}
+        message = gateway_pb2.ChosenFrames(
+            codec=self.codec, normals=self.normals, detail=self.detail, error=printable(error)
+        )
+        if self.rate_hz is None:
+            message.rate_hz.null_value = struct_pb2.NULL_VALUE
+        else:
+            message.rate_hz.number_value = self.rate_hz
+        return message
 
 
 def choice_of(query: Mapping[str, str]) -> Choice:
@@ -104,7 +115,7 @@ def choice_of(query: Mapping[str, str]) -> Choice:
     Raises:
         ChoiceError: a value is unknown.
     """
-    request: dict[str, Any] = {name: query[name] for name in ("codec", "rate_hz", "normals", "detail") if name in query}
+    request: dict[str, Any] = {name: query[name] for name in _FIELDS if name in query}
     for name in request.keys() & {"rate_hz", "detail"}:
         with contextlib.suppress(ValueError):  # `changed` refuses the text
             request[name] = float(request[name])

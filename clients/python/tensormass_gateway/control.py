@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import enum
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,7 +15,7 @@ import grpc
 from google.protobuf import json_format
 
 from tensormass import SceneFile, TensormassError
-from tensormass.v1 import control_pb2, scene_pb2
+from tensormass.v1 import adjustment_pb2, control_pb2, finding_pb2, gateway_pb2, scene_pb2
 from tensormass_gateway.daemon import Daemon
 from tensormass_gateway.requests import ProtocolError, finite_number, is_name
 
@@ -62,7 +63,7 @@ class Command:
     time_s: float = 0.0
     """Time of a recording to which `seek` moves."""
     speed: float = 1.0
-    changes: control_pb2.SceneAdjustments = field(default_factory=control_pb2.SceneAdjustments)
+    changes: adjustment_pb2.SceneAdjustments = field(default_factory=adjustment_pb2.SceneAdjustments)
 
 
 @dataclass(frozen=True)
@@ -70,46 +71,49 @@ class Outcome:
     """What a command did."""
 
     scene: str
-    adjustments: dict[str, Any] | None = None
-    """All values of a scene after `adjust`, a SceneAdjustments as JSON with the names of its fields."""
-    findings: list[dict[str, Any]] | None = None
-    """The findings of a scene after `load`, each a Finding as JSON with the names of its fields."""
+    adjustments: adjustment_pb2.SceneAdjustments | None = None
+    """All values of a scene after `adjust`."""
+    findings: Sequence[finding_pb2.Finding] | None = None
+    """The findings of a scene after `load`."""
 
 
 def read_command(request: dict[str, Any]) -> Command:
     """Checks a request of type `control`. Raises ProtocolError if a field is missing, wrong or unknown."""
     given = {key: value for key, value in request.items() if key != "type"}
-    number, action, scene = given.pop("id", None), given.pop("action", None), given.pop("scene", None)
-    if not _is_whole(number, 0, 2**53):
+    action, scene = given.get("action"), given.get("scene")
+    if not _is_whole(given.get("id"), 0, 2**53):
         raise ProtocolError("id is not a whole number from 0 to 2^53")
     if not isinstance(action, str) or action not in set(Action):
         raise ProtocolError(f"action is not one of {', '.join(Action)}")
     if not isinstance(scene, str) or not is_name(scene):
         raise ProtocolError("a scene's name is 1 to 64 characters of [A-Za-z0-9_-]")
-    steps, lockstep = given.pop("steps", 1), given.pop("lockstep", False)
-    time_s, speed = finite_number(given.pop("time_s", 0)), finite_number(given.pop("speed", 1))
+    time_s, speed = finite_number(given.get("time_s", 0)), finite_number(given.get("speed", 1))
     if time_s is None or time_s < 0:
         raise ProtocolError("time_s is not a finite number from 0 on")
     if speed is None or not MIN_SPEED <= speed <= MAX_SPEED:
         raise ProtocolError(f"speed is not a number from {MIN_SPEED:g} to {MAX_SPEED:g}")
-    changes = _read_changes(given.pop("changes", {}))
-    command = Command(number, Action(action), scene, steps, lockstep, time_s, speed, changes)
-    if not _is_whole(command.steps, 1, MAX_STEPS):
-        raise ProtocolError(f"steps is not a whole number from 1 to {MAX_STEPS}")
-    if not isinstance(command.lockstep, bool):
-        raise ProtocolError("lockstep is not true or false")
-    if given:
-        raise ProtocolError("a command has unknown fields")
-    return command
-
-
-def _read_changes(changes: object) -> control_pb2.SceneAdjustments:
-    if not isinstance(changes, dict):
+    if not isinstance(given.get("changes", {}), dict):
         raise ProtocolError("changes is not a JSON object")
+    if not _is_whole(given.get("steps", 1), 1, MAX_STEPS):
+        raise ProtocolError(f"steps is not a whole number from 1 to {MAX_STEPS}")
+    if not isinstance(given.get("lockstep", False), bool):
+        raise ProtocolError("lockstep is not true or false")
+    if given.keys() - gateway_pb2.ViewerCommand.DESCRIPTOR.fields_by_name.keys():
+        raise ProtocolError("a command has unknown fields")
     try:
-        return json_format.ParseDict(changes, control_pb2.SceneAdjustments())
-    except (json_format.ParseError, RecursionError) as error:
+        command = json_format.ParseDict(given, gateway_pb2.ViewerCommand())
+    except (json_format.ParseError, RecursionError) as error:  # all other fields are checked
         raise ProtocolError("changes is not a SceneAdjustments as JSON") from error
+    return Command(
+        int(command.id),
+        Action(command.action),
+        command.scene,
+        steps=command.steps if command.HasField("steps") else 1,
+        lockstep=command.lockstep,
+        time_s=command.time_s,
+        speed=command.speed if command.HasField("speed") else 1.0,
+        changes=command.changes,
+    )
 
 
 class Control:
@@ -142,10 +146,7 @@ class Control:
     async def _adjust(self, command: Command) -> Outcome:
         request = control_pb2.AdjustSceneRequest(scene=command.scene, changes=command.changes)
         reply = await self._daemon.control.AdjustScene(request, timeout=LOAD_TIMEOUT_S)
-        values = json_format.MessageToDict(
-            reply.adjustments, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
-        )
-        return Outcome(command.scene, values)
+        return Outcome(command.scene, reply.adjustments)
 
     async def _call(self, command: Command) -> None:
         control, scene = self._daemon.control, command.scene
@@ -174,8 +175,7 @@ class Control:
             scene.stepping.lockstep = True
         reply = await self._daemon.control.LoadScene(control_pb2.LoadSceneRequest(scene=scene), timeout=LOAD_TIMEOUT_S)
         self._daemon.learn(scene)
-        found = [json_format.MessageToDict(one, preserving_proto_field_name=True) for one in reply.report.findings]
-        return Outcome(scene.name, findings=found)
+        return Outcome(scene.name, findings=reply.report.findings)
 
 
 def _read_builtin(name: str) -> scene_pb2.Scene:

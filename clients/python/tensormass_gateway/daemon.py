@@ -10,7 +10,6 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import grpc
 import zmq
@@ -18,10 +17,10 @@ import zmq.asyncio
 
 from tensormass._shared.client_keys import ClientKeys, channel_options, guard_socket
 from tensormass._shared.endpoints import reached_endpoints
-from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
+from tensormass.v1 import control_pb2, control_pb2_grpc, gateway_pb2, scene_pb2, stream_pb2
 from tensormass_gateway.feed import MAX_BUS_MESSAGE_BYTES, RPC_TIMEOUT_S, Feed
 from tensormass_gateway.outbox import Watcher
-from tensormass_gateway.requests import ProtocolError
+from tensormass_gateway.requests import ProtocolError, printable
 from tensormass_gateway.tasks import background
 
 log = logging.getLogger(__name__)
@@ -194,17 +193,17 @@ class Daemon:
         except grpc.aio.AioRpcError as error:
             log.info("scene %s: %s", request.scene, error.details())
 
-    def state(self) -> dict[str, Any]:
-        """Returns what browsers are told about the daemon."""
-        return {
-            "problem": self.problem,
-            "server": self.version.server,
-            "version": self.version.version,
-            "backend": self.version.backend,
-            "device": self.version.device,
-            "scenes": sorted(self.scenes),
-            "field_scenes": sorted(self.scenes & self.known.keys()),
-        }
+    def state(self) -> gateway_pb2.DaemonState:
+        """Returns what all browsers are told about the daemon."""
+        return gateway_pb2.DaemonState(
+            problem=printable(self.problem),
+            server=self.version.server,
+            version=self.version.version,
+            backend=self.version.backend,
+            device=self.version.device,
+            scenes=sorted(self.scenes),
+            field_scenes=sorted(self.scenes & self.known.keys()),
+        )
 
     def _find(self, version: control_pb2.GetVersionResponse, present: set[str]) -> None:
         before = self.state()

@@ -13,33 +13,10 @@ streams are made here, of scenes that this gateway or its program loaded: `rest`
 `field`, an element field on the surface (fields.py). A browser may choose codec, rate, normals and detail, in its
 address or by a message `frames` (choice.py). Frames of a chosen codec have the key `encoded_frame` in place of
 `frame`. With less detail, `simplified_topology` takes the place of `topology`. Both are acknowledged by the name that
-they replace (gateway.proto). Text messages are JSON objects with a `type`:
+they replace. Text messages are JSON. gateway.proto describes all of them, messages.py writes and reads them.
 
-    gateway -> browser   daemon   problem (empty: none), server, backend, device, version, scenes, builtin_scenes,
-                                  field_scenes, operator (whether this browser may control), poses_allowed;
-                                  recording: file, duration_s, frames, marks, note (only of a recording)
-                         head     time_s, frame, playing, speed: the play head of a recording
-                         clock    client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
-                         result   id, action, scene of a command; error (empty: it succeeded); adjustments (adjust);
-                                  findings (load)
-                         frames   codec, rate_hz, normals, detail that hold now; error (empty: as asked)
-    browser -> gateway   watch    scene
-                         ack      stream; keyframe (codec delta): the one that the browser has
-                         clock    client_time_ms
-                         frames   codec: float32, q16, delta, meshopt; rate_hz (null: every frame); normals;
-                                  detail: 0.01 to 1
-                         field    name: von_mises, largest_strain, pressure, volume_ratio; empty: no field
-                         pose     tool, position_m [3], orientation [w, x, y, z]   (operators, with --allow-poses)
-                         control  id, action, scene; steps (1), lockstep (false), time_s (0), speed (1), changes ({})
-                                  (operators)
-
-The actions are pause, resume, step, reset, load, unload and adjust (control.py). `load` takes the name of a built-in
-scene. Its result has the name under which the scene runs. `adjust` takes the changes, a SceneAdjustments of
-control.proto as JSON, and its result has all values after them in the same form. A recording in place of a daemon
-(playback.py) has no load, unload and adjust, but step_back, seek (to time_s) and speed. A pose's orientation is a
-quaternion of any length but zero. Without it, the tool turns back to its own axes. Numbers are finite. A browser that
-breaks this protocol is closed with code 1008 and the reason. A choice that there is not is answered with its error
-instead, and the choice before holds. A browser that sends more than its budget is closed alike (`COSTS`,
+A browser that breaks this protocol is closed with code 1008 and the reason. A choice that there is not is answered with
+its error instead, and the choice before holds. A browser that sends more than its budget is closed alike (`COSTS`,
 connections.py).
 
 admission.py says who may connect, connections.py what a connection may do before. journal.py logs whom they refuse.
@@ -57,9 +34,10 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
+from google.protobuf.message import Message
 
 from tensormass import builtin_scenes
-from tensormass.v1 import scene_pb2
+from tensormass.v1 import gateway_pb2, scene_pb2
 from tensormass_gateway import connections, metrics
 from tensormass_gateway.admission import Admission, check_tokens, checked
 from tensormass_gateway.budget import Turns
@@ -69,6 +47,7 @@ from tensormass_gateway.control import MAX_WAITING, Command, CommandError, Contr
 from tensormass_gateway.daemon import Daemon
 from tensormass_gateway.encoding import SharedFrame
 from tensormass_gateway.journal import Journal
+from tensormass_gateway.messages import read, result_to_json, to_json
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.outbox import Stream, Watcher
 from tensormass_gateway.page_tls import check_page, page_context
@@ -80,6 +59,7 @@ from tensormass_gateway.requests import (
     finite_number,
     finite_numbers,
     is_name,
+    printable,
     read_request,
     rotation,
 )
@@ -98,6 +78,9 @@ CLOSE_S = 2.0
 
 COSTS = {"watch": 20, "frames": 20, "field": 20, "control": 5}
 """Further units of a browser's budget (`Connection.frames`) that a request takes, because it is work for all."""
+
+OF_A_BROWSER = ("type", "builtin_scenes", "operator", "poses_allowed")
+"""What `/status` leaves out of a daemon's state, because only a browser is told it."""
 
 TURNS_PER_S, MOST_TURNS = 50.0, 32
 """Requests `watch`, `frames` and `field` of all browsers that start in a second, and at once. Later ones wait."""
@@ -118,7 +101,7 @@ class Browser(Watcher):
         """Number of the browser among those that are connected, from 0. The next one takes it over."""
         self.commands: set[asyncio.Task[None]] = set()
         """Commands that are not answered yet."""
-        self._states: dict[str, dict[str, Any]] = {}
+        self._states: dict[str, Message] = {}
         self._wake = asyncio.Event()
 
     @property
@@ -131,9 +114,13 @@ class Browser(Watcher):
         self.encoder.choice = choice
         self.outbox.set_rate(choice.rate_hz)
 
-    def tell_state(self, state: dict[str, Any]) -> None:
+    async def send(self, message: Message) -> None:
+        """Sends a text message of gateway.proto."""
+        await self.socket.send_json(to_json(message))
+
+    def tell_state(self, state: Message) -> None:
         """Sends a state as soon as the socket takes it. A newer one of the same type replaces one that waits."""
-        self._states[state["type"]] = state
+        self._states[state.DESCRIPTOR.full_name] = state
         self._wake.set()
 
     async def send_states(self) -> None:
@@ -142,7 +129,7 @@ class Browser(Watcher):
             self._wake.clear()
             while self._states:
                 first = next(iter(self._states))
-                await self.socket.send_json(self._states.pop(first))
+                await self.send(self._states.pop(first))
 
     async def send_messages(self) -> None:
         while True:
@@ -219,8 +206,11 @@ class Gateway:
 
     def stats(self) -> dict[str, Any]:
         """Returns the counters of `/status`, ready for JSON."""
+        daemon = to_json(self._daemon.state())
+        for name in OF_A_BROWSER:
+            del daemon[name]
         return {
-            "daemon": self._daemon.state(),
+            "daemon": daemon,
             "browsers": [
                 {
                     "scene": browser.scene,
@@ -343,7 +333,7 @@ class Gateway:
             await socket.prepare(request)
             browser.tell_state(self._daemon_state(browser))
             if isinstance(self._daemon, Playback):
-                browser.tell_state(_head_of(self._daemon))
+                browser.tell_state(self._daemon.head())
             senders = [background(browser.send_messages()), background(browser.send_states())]
             await _unless_refused(self._listen(browser), connection.refused)
         except ProtocolError as error:
@@ -393,19 +383,18 @@ class Gateway:
             case {"type": "clock", "client_time_ms": client_time_ms}:
                 if finite_number(client_time_ms) is None:
                     raise ProtocolError("client_time_ms is not a finite number")
-                await browser.socket.send_json(
-                    {
-                        "type": "clock",
-                        "client_time_ms": client_time_ms,
-                        "gateway_time_ms": time.time_ns() / 1e6,
-                        "replaced": browser.outbox.replaced,
-                    }
+                await browser.send(
+                    gateway_pb2.ClockReply(
+                        client_time_ms=read(request).clock.client_time_ms,
+                        gateway_time_ms=time.time_ns() / 1e6,
+                        replaced=browser.outbox.replaced,
+                    )
                 )
             case {"type": "watch", "scene": str(scene)}:
                 if not is_name(scene):
                     raise ProtocolError("a scene's name is 1 to 64 characters of [A-Za-z0-9_-]")
                 await self._turns.take()
-                self._daemon.watch(browser, scene)
+                self._daemon.watch(browser, read(request).watch.scene)
             case {"type": "control"}:
                 # Counted here: a burst is read before its first command starts.
                 crowded = len(browser.commands) >= MAX_WAITING
@@ -416,8 +405,8 @@ class Gateway:
                 if name and name not in FIELDS:
                     raise ProtocolError(f"a field is one of {', '.join(FIELDS)}")
                 await self._turns.take()
-                self._daemon.show_field(browser, name)
-            case {"type": "pose", "tool": str(tool), "position_m": position_m}:
+                self._daemon.show_field(browser, read(request).field.name)
+            case {"type": "pose", "tool": str(), "position_m": position_m}:
                 if not self.options.allow_poses:
                     raise ProtocolError("this gateway takes no poses (--allow-poses)")
                 if not browser.operator:
@@ -426,7 +415,8 @@ class Gateway:
                 if position is None or max(map(abs, position)) > MAX_COORDINATE_M:
                     raise ProtocolError("position_m is not three finite numbers [m]")
                 given = request.get("orientation")
-                self._daemon.move_tool(browser, tool, position, None if given is None else rotation(given))
+                orientation = None if given is None else rotation(given)
+                self._daemon.move_tool(browser, read(request).pose.tool, position, orientation)
             case _:
                 raise ProtocolError("a message's type or fields are unknown")
 
@@ -438,13 +428,13 @@ class Gateway:
             error = str(refusal)
         if browser.detail != detail:
             self._daemon.show_detail(browser)
-        await browser.socket.send_json(browser.encoder.choice.message(error))
+        await browser.send(browser.encoder.choice.message(error))
 
     async def _take_keyframe(self, browser: Browser, keyframe: object) -> None:
         try:
             browser.encoder.acknowledge(keyframe)
         except ChoiceError as refusal:
-            await browser.socket.send_json(browser.encoder.choice.message(str(refusal)))
+            await browser.send(browser.encoder.choice.message(str(refusal)))
 
     async def _execute(self, browser: Browser, command: Command, *, crowded: bool) -> None:
         """Executes a command and answers it. Frames keep flowing meanwhile, because a load takes long."""
@@ -463,21 +453,22 @@ class Gateway:
         if error:
             what = f"control {command.action}"
             self._journal.note("refused", who=browser.who, what=what, scene=command.scene, reason=error)
-        result = {"type": "result", "id": command.id, "action": command.action, "scene": outcome.scene, "error": error}
-        if outcome.adjustments is not None:
-            result["adjustments"] = outcome.adjustments
-        if outcome.findings is not None:
-            result["findings"] = outcome.findings
-        await browser.socket.send_json(result)
+        result = gateway_pb2.CommandResult(
+            id=command.id,
+            action=command.action,
+            scene=outcome.scene,
+            error=printable(error),
+            adjustments=outcome.adjustments,
+            findings=outcome.findings,
+        )
+        await browser.socket.send_json(result_to_json(result, loaded=outcome.findings is not None))
 
-    def _daemon_state(self, browser: Browser) -> dict[str, Any]:
-        return {
-            "type": "daemon",
-            **self._daemon.state(),
-            "builtin_scenes": builtin_scenes(),
-            "operator": browser.operator,
-            "poses_allowed": self.options.allow_poses and browser.operator,
-        }
+    def _daemon_state(self, browser: Browser) -> gateway_pb2.DaemonState:
+        state = self._daemon.state()
+        state.builtin_scenes.extend(builtin_scenes())
+        state.operator = browser.operator
+        state.poses_allowed = self.options.allow_poses and browser.operator
+        return state
 
     def _announce(self) -> None:
         for browser in self._browsers:
@@ -486,7 +477,7 @@ class Gateway:
     def _announce_head(self) -> None:
         assert isinstance(self._daemon, Playback)
         for browser in self._browsers:
-            browser.tell_state(_head_of(self._daemon))
+            browser.tell_state(self._daemon.head())
 
 
 async def _unless_refused(listening: Coroutine[Any, Any, None], refused: asyncio.Future[str]) -> None:
@@ -501,10 +492,6 @@ async def _unless_refused(listening: Coroutine[Any, Any, None], refused: asyncio
     finally:
         task.cancel()
         await asyncio.wait({task})
-
-
-def _head_of(playback: Playback) -> dict[str, Any]:
-    return {"type": "head", **playback.head()}
 
 
 def _choice_of(request: web.Request) -> Choice:

@@ -13,14 +13,13 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from tensormass import TensormassError
-from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass.v1 import gateway_pb2, scene_pb2, stream_pb2
 from tensormass_gateway.control import Action, Command, CommandError, Outcome
 from tensormass_gateway.outbox import Stream, Watcher
 from tensormass_gateway.player import Player, Recording
-from tensormass_gateway.requests import ProtocolError
+from tensormass_gateway.requests import ProtocolError, printable
 from tensormass_gateway.streams import SceneStreams
 
 SERVER = "recording"
@@ -149,30 +148,30 @@ class Playback:
         self._commanded.set()
         return Outcome(command.scene)
 
-    def state(self) -> dict[str, Any]:
-        """Returns what browsers are told in place of a daemon."""
+    def state(self) -> gateway_pb2.DaemonState:
+        """Returns what all browsers are told in place of a daemon."""
         start = self._recording.start
-        return {
-            "problem": "",
-            "server": SERVER,
-            "version": start.server_version,
-            "backend": start.backend,
-            "device": start.device,
-            "scenes": [self._streams.scene],
-            "field_scenes": [],
-            "recording": {
-                "file": self._recording.name,
-                "duration_s": self.player.duration_s,
-                "frames": len(self._recording.times_s),
-                "marks": [mark._asdict() for mark in self._recording.marks],
-                "note": self._problem or self._recording.note,
-            },
-        }
+        return gateway_pb2.DaemonState(
+            server=SERVER,
+            version=start.server_version,
+            backend=start.backend,
+            device=start.device,
+            scenes=[self._streams.scene],
+            recording=gateway_pb2.ShownRecording(
+                file=printable(self._recording.name),
+                duration_s=self.player.duration_s,
+                frames=len(self._recording.times_s),
+                marks=[gateway_pb2.RecordingMark(**mark._asdict()) for mark in self._recording.marks],
+                note=printable(self._problem or self._recording.note),
+            ),
+        )
 
-    def head(self) -> dict[str, Any]:
+    def head(self) -> gateway_pb2.PlayHead:
         """Returns where the play head is."""
         player = self.player
-        return {"time_s": player.time_s, "frame": player.index, "playing": player.playing, "speed": player.speed}
+        return gateway_pb2.PlayHead(
+            time_s=player.time_s, frame=player.index, playing=player.playing, speed=player.speed
+        )
 
     async def _show(self) -> None:
         """Publishes the frame at the head, and the status that belongs to it."""

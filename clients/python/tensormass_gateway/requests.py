@@ -18,6 +18,14 @@ def is_name(text: str) -> bool:
     return 0 < len(text) <= 64 and all(c.isascii() and (c.isalnum() or c in "_-") for c in text)
 
 
+def printable(text: str) -> str:
+    """Returns a text for a message of protobuf, which takes no halves of characters.
+
+    A browser may send one, and the name of a file that is not UTF-8 has some.
+    """
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def read_request(text: str) -> dict[str, Any]:
     """Parses the JSON object of a request.
 

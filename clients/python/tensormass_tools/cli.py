@@ -48,7 +48,6 @@ from tensormass_tools.output import (
 )
 from tensormass_tools.parser import Parser
 from tensormass_tools.running import find_server
-from tensormass_tools.trade import command as trade
 from tensormass_tools.trade.arguments import add_arguments as add_trade_arguments
 
 _LENGTH = re.compile(r"([0-9.eE+-]+?)\s*(m|dm|cm|mm|um)?")
@@ -200,7 +199,7 @@ def _parser() -> argparse.ArgumentParser:
         "trade", parents=[json_option], help="measure what each choice of a scene costs in time and buys in accuracy"
     )
     add_trade_arguments(sub, _SCENE_HELP)
-    sub.set_defaults(command=trade.run)
+    sub.set_defaults(command=_trade)
 
     sub = commands.add_parser(
         "record", parents=[json_option], help="record the inputs of a scene and checks of its state to an MCAP file"
@@ -387,6 +386,12 @@ def _inspect(args: argparse.Namespace) -> int:
         report = server.inspect(scene)
     print_json(to_plain(report)) if args.json else print(report_text(report, scene.message))
     return 0
+
+
+def _trade(args: argparse.Namespace) -> int:
+    from tensormass_tools.trade import command  # its modules are for this command alone
+
+    return command.run(args)
 
 
 def _view(args: argparse.Namespace) -> int:

@@ -1,7 +1,7 @@
 // The readings beside the picture. They are written four times a second; faster digits cannot be read.
 import { find, setText } from "./dom";
 import type { Notice, Situation } from "./situation";
-import type { DaemonState } from "./stream/connection";
+import type { DaemonState } from "./generated/tensormass/v1/gateway_pb";
 import { SceneState, type Status } from "./stream/decode";
 import type { Finding } from "./stream/findings";
 import type { Readings } from "./stream/session";

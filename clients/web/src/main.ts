@@ -81,7 +81,7 @@ if (address.quality !== null && qualityOf(address.quality) === null) {
 document.documentElement.dataset.quality = quality.level.name;
 
 const menus = [...document.querySelectorAll<HTMLDetailsElement>("details.menu")];
-const plays = () => (grid.selected.session.daemon?.recording ?? null) !== null;
+const plays = () => grid.selected.session.daemon?.recording !== undefined;
 listenToKeys({
   " ": () => (plays() ? timeline.press("play") : controls.press("pause")),
   s: () => (plays() ? timeline.press("forward") : controls.press("step")),
@@ -171,7 +171,7 @@ function showGrid(): void {
     timeline.show(recording, operator);
     hud.showScenes(session.daemon, session.scene);
     const unknown = "Stress needs the elements, which this gateway knows only of scenes that it loaded.";
-    const reason = recording === null ? unknown : "A recording has surfaces only. Replay it to get stresses.";
+    const reason = recording === undefined ? unknown : "A recording has surfaces only. Replay it to get stresses.";
     display.offerFields(session.hasFields ? null : reason);
   }
   grid.tiles.forEach(showTile);

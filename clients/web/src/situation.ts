@@ -1,5 +1,6 @@
 // The state of the page in words: for the pill in the header and for the notice beside the picture.
-import type { DaemonState, Head, LinkState, Recording } from "./stream/connection";
+import type { DaemonState, PlayHead, ShownRecording } from "./generated/tensormass/v1/gateway_pb";
+import type { LinkState } from "./stream/connection";
 import { SceneState, type Frame, type Status, type Topology } from "./stream/decode";
 
 export type Tone = "good" | "waiting" | "warning" | "bad";
@@ -91,7 +92,7 @@ function remedy({ scenes, operator }: DaemonState): string {
 }
 
 /** The situation of a page that shows a recording. @param head null before the gateway has told it. */
-export function recordingSituation(recording: Recording, head: Head | null, scene: Scene): Situation {
+export function recordingSituation(recording: ShownRecording, head: PlayHead | null, scene: Scene): Situation {
   const notice =
     recording.note === "" ? null : ({ tone: "quiet", title: "Not the whole recording", detail: recording.note } as const);
   const trouble = troubleOf(scene);

@@ -1,6 +1,8 @@
+import { create } from "@bufbuild/protobuf";
 import { beforeEach, describe, expect, it, vi } from "vitest";
 
 import { Commands } from "../src/commands";
+import { CommandResultSchema } from "../src/generated/tensormass/v1/gateway_pb";
 import type { Toast } from "../src/panel/legend";
 import type { Session } from "../src/stream/session";
 
@@ -13,7 +15,7 @@ let commands: Commands;
 beforeEach(() => {
   vi.clearAllMocks();
   busy.length = 0;
-  control.mockImplementation(({ scene }) => Promise.resolve({ id: 1, scene: `${scene}-2`, error: "" }));
+  control.mockImplementation(({ scene }) => Promise.resolve(create(CommandResultSchema, { scene: `${scene}-2` })));
   const session = { watched: "liver", control } as unknown as Session;
   commands = new Commands(() => session, toast as unknown as Toast, () => busy.push(commands.busy), choose);
 });

@@ -1,7 +1,8 @@
+import { create } from "@bufbuild/protobuf";
 import { beforeEach, describe, expect, it, vi } from "vitest";
 
+import { ShownRecordingSchema, type DaemonState } from "../src/generated/tensormass/v1/gateway_pb";
 import { Grid } from "../src/grid/grid";
-import type { DaemonState } from "../src/stream/connection";
 import { DAEMON } from "./messages";
 
 /** What all open connections tell; null: none is open. */
@@ -135,7 +136,7 @@ describe("Grid", () => {
 
   it("is off for a recording", () => {
     const grid = gridOf(null, true);
-    daemon = { ...DAEMON, recording: { file: "f", durationS: 1, frames: 2, marks: [], note: "" } };
+    daemon = { ...DAEMON, recording: create(ShownRecordingSchema, { file: "f" }) };
     grid.arrange();
     expect(grid.on).toBe(false);
     expect(grid.tiles).toHaveLength(1);

@@ -43,19 +43,19 @@ describe("gravityOfLength", () => {
 describe("merged", () => {
   it("loses no change that waits, and takes the later of two for one value", () => {
     const gravity = { x: 0, y: 0, z: -1 };
-    const stiffer = merged({ gravity_m_per_s2: gravity }, { bodies: [{ body: "liver", stiffness_factor: 2 }] });
-    const calmer = merged(stiffer, { bodies: [{ body: "liver", rayleigh_mass_per_s: 3 }, { body: "kidney", stiffness_factor: 4 }] });
-    expect(merged(calmer, { bodies: [{ body: "liver", stiffness_factor: 5 }] })).toEqual({
-      gravity_m_per_s2: gravity,
+    const stiffer = merged({ gravityMPerS2: gravity }, { bodies: [{ body: "liver", stiffnessFactor: 2 }] });
+    const calmer = merged(stiffer, { bodies: [{ body: "liver", rayleighMassPerS: 3 }, { body: "kidney", stiffnessFactor: 4 }] });
+    expect(merged(calmer, { bodies: [{ body: "liver", stiffnessFactor: 5 }] })).toEqual({
+      gravityMPerS2: gravity,
       bodies: [
-        { body: "liver", stiffness_factor: 5, rayleigh_mass_per_s: 3 },
-        { body: "kidney", stiffness_factor: 4 },
+        { body: "liver", stiffnessFactor: 5, rayleighMassPerS: 3 },
+        { body: "kidney", stiffnessFactor: 4 },
       ],
     });
   });
 
   it("keeps a change when the panel only asks for the values", () => {
-    const change = { bodies: [{ body: "liver", stiffness_factor: 2 }] };
+    const change = { bodies: [{ body: "liver", stiffnessFactor: 2 }] };
     expect(merged(change, {})).toEqual(change);
   });
 });
@@ -70,8 +70,8 @@ describe("Changes", () => {
     };
     const onValues = vi.fn();
     const changes = new Changes(adjust, onValues, vi.fn());
-    const stiffness = (factor: number) => ({ bodies: [{ body: "liver", stiffness_factor: factor }] });
-    const gravity = { gravity_m_per_s2: { x: 0, y: 0, z: -1 } };
+    const stiffness = (factor: number) => ({ bodies: [{ body: "liver", stiffnessFactor: factor }] });
+    const gravity = { gravityMPerS2: { x: 0, y: 0, z: -1 } };
     [stiffness(1), gravity, stiffness(2), stiffness(3)].forEach((change) => changes.send(change));
     expect(sent).toEqual([stiffness(1)]);
     answers[0]!();

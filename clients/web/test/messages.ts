@@ -1,11 +1,11 @@
 // Valid messages of a daemon, which tests then change.
 import { create, toBinary, type DescMessage, type Message, type MessageInitShape } from "@bufbuild/protobuf";
 
+import { DaemonStateSchema } from "../src/generated/tensormass/v1/gateway_pb";
 import { FrameSchema, TopologySchema } from "../src/generated/tensormass/v1/stream_pb";
-import type { DaemonState } from "../src/stream/connection";
 
 /** What the gateway tells about a daemon, to a page that only looks. */
-export const DAEMON: DaemonState = {
+export const DAEMON = create(DaemonStateSchema, {
   problem: "",
   server: "s",
   version: "1",
@@ -16,8 +16,7 @@ export const DAEMON: DaemonState = {
   builtinScenes: ["beam", "demo"],
   fieldScenes: [],
   scenes: ["liver"],
-  recording: null,
-};
+});
 
 /** Fields of a message to set. */
 export type Fields<Schema extends DescMessage> = Exclude<MessageInitShape<Schema>, Message>;

@@ -1,5 +1,7 @@
+import { create } from "@bufbuild/protobuf";
 import { describe, expect, it } from "vitest";
 
+import { ShownRecordingSchema } from "../src/generated/tensormass/v1/gateway_pb";
 import { MAX_TILES, columnsFor, freeArea, planTiles } from "../src/grid/plan";
 import { DAEMON } from "./messages";
 
@@ -33,7 +35,7 @@ describe("planTiles", () => {
   });
 
   it("has no grid for a recording, and no name to wait for", () => {
-    const recording = { file: "f", durationS: 1, frames: 2, marks: [], note: "" };
+    const recording = create(ShownRecordingSchema, { file: "f" });
     for (const grid of [false, true]) {
       expect(planTiles({ ...having("a"), recording }, "b", null, grid)).toEqual({ scenes: ["a"], selected: "a" });
     }

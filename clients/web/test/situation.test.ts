@@ -1,6 +1,7 @@
 import { create } from "@bufbuild/protobuf";
 import { describe, expect, it } from "vitest";
 
+import { PlayHeadSchema, ShownRecordingSchema } from "../src/generated/tensormass/v1/gateway_pb";
 import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
 import { linkSituation, recordingSituation, sceneSituation, type Scene } from "../src/situation";
 import { SceneState, decodeFrame, decodeTopology } from "../src/stream/decode";
@@ -84,8 +85,8 @@ describe("linkSituation", () => {
 });
 
 describe("recordingSituation", () => {
-  const recording = { file: "a.mcap", durationS: 10, frames: 600, marks: [], note: "" };
-  const at = (timeS: number, playing: boolean) => ({ timeS, frame: 0, playing, speed: 1 });
+  const recording = create(ShownRecordingSchema, { file: "a.mcap", durationS: 10, frames: 600 });
+  const at = (timeS: number, playing: boolean) => create(PlayHeadSchema, { timeS, playing, speed: 1 });
 
   it("tells whether the recording plays, stands still or has ended", () => {
     expect(recordingSituation(recording, at(4, true), SHOWN)).toMatchObject({ tone: "good", text: "Playing", notice: null });

@@ -1,5 +1,7 @@
+import { create } from "@bufbuild/protobuf";
 import { describe, expect, it } from "vitest";
 
+import { RecordingMarkSchema } from "../src/generated/tensormass/v1/gateway_pb";
 import { Drag, Steps, markText, percentOf, timeText, type HeadOptions } from "../src/panel/timeline";
 
 /** A gateway that answers when the test says so. */
@@ -80,7 +82,7 @@ describe("Steps", () => {
 
 it("writes times with the unit, and what a mark means", () => {
   expect(timeText(3.2, 12)).toBe("3.20 / 12.00 s");
-  expect(markText({ timeS: 2.4, kind: "contact", text: "probe touches." })).toBe("2.40 s: probe touches.");
+  expect(markText(create(RecordingMarkSchema, { timeS: 2.4, kind: "contact", text: "probe touches." }))).toBe("2.40 s: probe touches.");
 });
 
 it("places times on the bar, and stays on it", () => {

@@ -1,5 +1,5 @@
 // The tiles of the page: one for each scene, or one alone. Panels, keys and commands act on the selected one.
-import type { DaemonState } from "../stream/connection";
+import type { DaemonState } from "../generated/tensormass/v1/gateway_pb";
 import { planTiles, type Plan } from "./plan";
 
 /** The parts of a tile that the grid uses. */
@@ -55,7 +55,7 @@ export class Grid<Tile extends GridTile> {
 
   /** Whether all scenes are shown. A recording has one scene and no grid. */
   get on(): boolean {
-    return this.#on && (this.#selected.session.daemon?.recording ?? null) === null;
+    return this.#on && this.#selected.session.daemon?.recording === undefined;
   }
 
   /** Selects a scene, which may come later; null: the first one. */

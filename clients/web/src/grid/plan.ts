@@ -1,5 +1,5 @@
 // Decides which scenes get a tile, and how the tiles are laid out.
-import type { DaemonState } from "../stream/connection";
+import type { DaemonState } from "../generated/tensormass/v1/gateway_pb";
 
 /** Largest number of tiles. Each one is a connection to the gateway, which admits 16 unless --max-browsers says more. */
 export const MAX_TILES = 9;
@@ -26,7 +26,7 @@ export function planTiles(daemon: DaemonState, wanted: string | null, kept: stri
   const known = (name: string | null) => scenes.find((scene) => scene === name);
   const fallback = known(kept) ?? scenes[0] ?? null;
   // A recording has one scene, so a name that is left in the address means nothing.
-  if (recording !== null) {
+  if (recording !== undefined) {
     return { scenes: [fallback], selected: fallback };
   }
   if (!grid || scenes.length === 0) {

@@ -1,6 +1,6 @@
 // The operator's controls: pause, step and reset the scene on show, load and unload scenes.
 import { find } from "../dom";
-import type { DaemonState } from "../stream/connection";
+import type { DaemonState } from "../generated/tensormass/v1/gateway_pb";
 import { SceneState, type Status } from "../stream/decode";
 
 /** Commands of an operator. The gateway checks them again. */

@@ -1,19 +1,13 @@
 // The panel that changes a running scene: gravity, and stiffness and damping of each body.
+import type { MessageInitShape } from "@bufbuild/protobuf";
+
 import { find } from "../dom";
+import type { BodyAdjustmentSchema, SceneAdjustmentsSchema } from "../generated/tensormass/v1/adjustment_pb";
 import type { Reason } from "./controls";
 
-/** A SceneAdjustments of control.proto as JSON. */
-export interface Adjustments {
-  readonly gravity_m_per_s2?: Point;
-  readonly bodies?: readonly BodyAdjustment[];
-}
-
-export interface BodyAdjustment {
-  readonly body: string;
-  readonly stiffness_factor?: number;
-  readonly rayleigh_mass_per_s?: number;
-  readonly rayleigh_stiffness_s?: number;
-}
+/** Values of a scene, or those of them that change. */
+export type Adjustments = MessageInitShape<typeof SceneAdjustmentsSchema>;
+type BodyAdjustment = MessageInitShape<typeof BodyAdjustmentSchema>;
 
 interface Point {
   readonly x: number;
@@ -73,11 +67,11 @@ export function gravityOfLength(direction: Point, lengthMPerS2: number): Point {
 
 /** Returns the changes of both; of two for the same value the later one. */
 export function merged(first: Adjustments, later: Adjustments): Adjustments {
-  const bodies = new Map<string, BodyAdjustment>();
+  const bodies = new Map<string | undefined, BodyAdjustment>();
   for (const change of [...(first.bodies ?? []), ...(later.bodies ?? [])]) {
     bodies.set(change.body, { ...bodies.get(change.body), ...change });
   }
-  return { ...first, ...later, bodies: [...bodies.values()] };
+  return { gravityMPerS2: later.gravityMPerS2 ?? first.gravityMPerS2, bodies: [...bodies.values()] };
 }
 
 /** Changes a scene and returns all values after it. Fails with the reason. */
@@ -172,20 +166,20 @@ export class MaterialPanel {
 
   /** Makes the sliders anew with these values. */
   #build(values: Adjustments, changes: Changes): void {
-    const gravity = values.gravity_m_per_s2 ?? { x: 0, y: 0, z: 0 };
-    const length = Math.hypot(gravity.x, gravity.y, gravity.z);
+    const { x = 0, y = 0, z = 0 } = values.gravityMPerS2 ?? {};
+    const gravity = { x, y, z };
+    const length = Math.hypot(x, y, z);
     this.#direction = length > 0 ? gravity : this.#direction;
-    const groups = (values.bodies ?? []).map((body) => {
-      const change = (field: keyof BodyAdjustment) => (value: number) =>
-        changes.send({ bodies: [{ body: body.body, [field]: value }] });
-      return group(body.body, [
-        slider(STIFFNESS, body.stiffness_factor ?? 1, change("stiffness_factor")),
-        slider(SLOW_DAMPING, body.rayleigh_mass_per_s ?? 0, change("rayleigh_mass_per_s")),
-        slider(FAST_DAMPING, body.rayleigh_stiffness_s ?? 0, change("rayleigh_stiffness_s")),
+    const groups = (values.bodies ?? []).map(({ body = "", ...of }) => {
+      const change = (field: keyof BodyAdjustment) => (value: number) => changes.send({ bodies: [{ body, [field]: value }] });
+      return group(body, [
+        slider(STIFFNESS, of.stiffnessFactor ?? 1, change("stiffnessFactor")),
+        slider(SLOW_DAMPING, of.rayleighMassPerS ?? 0, change("rayleighMassPerS")),
+        slider(FAST_DAMPING, of.rayleighStiffnessS ?? 0, change("rayleighStiffnessS")),
       ]);
     });
     const weight = slider(GRAVITY, length, (value) =>
-      changes.send({ gravity_m_per_s2: gravityOfLength(this.#direction, value) }),
+      changes.send({ gravityMPerS2: gravityOfLength(this.#direction, value) }),
     );
     const focused = document.activeElement?.ariaLabel;
     this.#sliders.replaceChildren(...groups, weight);

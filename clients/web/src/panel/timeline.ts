@@ -1,14 +1,14 @@
 // The time line of a recording: play, step, a handle to drag, and marks where something happened. The gateway has the
 // play head, which all pages of a recording share.
 import { find, setText } from "../dom";
-import type { Head, Mark, Recording } from "../stream/connection";
+import type { PlayHead, RecordingMark, ShownRecording } from "../generated/tensormass/v1/gateway_pb";
 import { LOOK_ONLY } from "./controls";
 
 /** A command for the play head. */
 export type HeadAction = "pause" | "resume" | "step" | "step_back" | "reset" | "seek" | "speed";
 
 export interface HeadOptions {
-  readonly time_s?: number;
+  readonly timeS?: number;
   readonly speed?: number;
   readonly steps?: number;
 }
@@ -52,9 +52,9 @@ export class Drag {
     this.#nextS = timeS;
     if (!waits) {
       this.#enqueue(() => {
-        const time_s = this.#nextS!;
+        const timeS = this.#nextS!;
         this.#nextS = null;
-        return this.#send("seek", { time_s });
+        return this.#send("seek", { timeS });
       });
     }
   }
@@ -123,7 +123,7 @@ export function percentOf(timeS: number, durationS: number): number {
 }
 
 /** "2.40 s: probe touches." */
-export function markText({ timeS, text }: Mark): string {
+export function markText({ timeS, text }: RecordingMark): string {
   return `${timeS.toFixed(2)} s: ${text}`;
 }
 
@@ -138,8 +138,8 @@ export class Timeline {
   readonly #handle = find("#seek", HTMLInputElement);
   readonly #marks = find("#marks", HTMLElement);
   readonly #speed = find("#speed", HTMLSelectElement);
-  #recording: Recording | null = null;
-  #head: Head | null = null;
+  #recording: ShownRecording | null = null;
+  #head: PlayHead | null = null;
 
   constructor(send: SendHead) {
     this.#send = send;
@@ -173,11 +173,11 @@ export class Timeline {
     }
   }
 
-  /** Shows the time line of a recording; null: the page shows running scenes. */
-  show(recording: Recording | null, operator: boolean): void {
-    document.body.dataset.source = recording === null ? "daemon" : "recording";
-    this.#section.hidden = recording === null;
-    if (recording === null || recording === this.#recording) {
+  /** Shows the time line of a recording; undefined: the page shows running scenes. */
+  show(recording: ShownRecording | undefined, operator: boolean): void {
+    document.body.dataset.source = recording === undefined ? "daemon" : "recording";
+    this.#section.hidden = recording === undefined;
+    if (recording === undefined || recording === this.#recording) {
       return;
     }
     this.#recording = recording;
@@ -190,7 +190,7 @@ export class Timeline {
     this.#showHead();
   }
 
-  showHead(head: Head): void {
+  showHead(head: PlayHead): void {
     this.#head = head;
     this.#showHead();
   }
@@ -223,7 +223,7 @@ export class Timeline {
     this.#handle.style.setProperty("--played", `${percentOf(timeS, durationS)}%`);
   }
 
-  #markOf(mark: Mark, durationS: number, operator: boolean): HTMLElement {
+  #markOf(mark: RecordingMark, durationS: number, operator: boolean): HTMLElement {
     const result = document.createElement("button");
     result.type = "button";
     result.dataset.kind = mark.kind;

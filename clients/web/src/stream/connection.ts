@@ -1,80 +1,10 @@
 // The WebSocket to the gateway: opens, watches a scene, acknowledges, asks for the clock, and reconnects after a loss.
+import { fromJson } from "@bufbuild/protobuf";
+import { ValueSchema } from "@bufbuild/protobuf/wkt";
+
+import type { ClockReply, CommandResult, DaemonState, PlayHead } from "../generated/tensormass/v1/gateway_pb";
 import { slotOf, type StreamName, type ToolState } from "./decode";
-
-/** Something that happened at a time of a recording. */
-export interface Mark {
-  readonly timeS: number;
-  /** contact, guard, recovery, reset or stop */
-  readonly kind: string;
-  readonly text: string;
-}
-
-/** A recording that the gateway shows in place of a daemon. */
-export interface Recording {
-  readonly file: string;
-  readonly durationS: number;
-  /** Number of recorded frames. */
-  readonly frames: number;
-  readonly marks: readonly Mark[];
-  /** Why the recording ends early or cannot be read; empty: neither. */
-  readonly note: string;
-}
-
-/** The play head of a recording, which all pages share. */
-export interface Head {
-  readonly timeS: number;
-  /** Frame on show, counted from 0. */
-  readonly frame: number;
-  readonly playing: boolean;
-  readonly speed: number;
-}
-
-/** The gateway's view of the daemon. */
-export interface DaemonState {
-  /** Why there are no streams; empty while the gateway reaches the daemon. */
-  readonly problem: string;
-  readonly server: string;
-  readonly version: string;
-  readonly backend: string;
-  readonly device: string;
-  readonly posesAllowed: boolean;
-  /** Whether this page may control scenes. */
-  readonly operator: boolean;
-  /** Names of the scenes that an operator can load. */
-  readonly builtinScenes: readonly string[];
-  /** Loaded scenes whose element fields the gateway can show. */
-  readonly fieldScenes: readonly string[];
-  readonly scenes: readonly string[];
-  /** null: the gateway shows running scenes. */
-  readonly recording: Recording | null;
-}
-
-export interface ClockReply {
-  readonly clientTimeMs: number;
-  readonly gatewayTimeMs: number;
-  /** Frames of the watched scene that the gateway replaced by newer ones. */
-  readonly replaced: number;
-}
-
-export interface CommandResult {
-  readonly id: number;
-  readonly scene: string;
-  /** Empty: the command succeeded. */
-  readonly error: string;
-  /** All values of a scene after `adjust`. */
-  readonly adjustments?: object;
-}
-
-export interface Command {
-  readonly action: string;
-  readonly scene: string;
-  readonly lockstep?: boolean;
-  /** What `adjust` changes: a SceneAdjustments of control.proto as JSON. */
-  readonly changes?: object;
-  readonly time_s?: number;
-  readonly speed?: number;
-  readonly steps?: number;
-}
+import { parseText, writeText, type Command, type Sent } from "./texts";
 
 /** Frames that the page asks for. Fields that are absent stay as the address has them. */
 export interface FrameChoice {
@@ -107,7 +37,7 @@ export interface Diagnosis {
 export interface ConnectionEvents {
   onLink(state: LinkState): void;
   onDaemon(state: DaemonState): void;
-  onHead(head: Head): void;
+  onHead(head: PlayHead): void;
   onMessage(data: ArrayBuffer): void;
   onClock(reply: ClockReply, receivedMs: number): void;
 }
@@ -147,7 +77,7 @@ export class Connection {
 
   /** Asks for the streams of a scene from their start. A new connection has no streams. */
   watch(scene: string): void {
-    this.#send({ type: "watch", scene });
+    this.#send({ case: "watch", value: { scene } });
   }
 
   /**
@@ -183,7 +113,10 @@ export class Connection {
 
   /** Sends a pose of a tool. */
   moveTool({ name, positionM, orientationWxyz }: Pick<ToolState, "name" | "positionM" | "orientationWxyz">): void {
-    this.#send({ type: "pose", tool: name, position_m: positionM, orientation: orientationWxyz });
+    this.#send({
+      case: "pose",
+      value: { tool: name, positionM: [...positionM], orientation: [...orientationWxyz] },
+    });
   }
 
   /** Sends a command. Fails with the reason of the gateway or the daemon. */
@@ -192,13 +125,13 @@ export class Connection {
       return Promise.reject(new Error("there is no connection to the gateway"));
     }
     const id = (this.#lastCommand += 1);
-    this.#send({ type: "control", id, ...command });
+    this.#send({ case: "control", value: { ...command, id } });
     return new Promise((done, fail) => this.#waiting.set(id, { done, fail }));
   }
 
   /** Asks for the values of an element field of the watched scene, a few times a second. null: no field any more. */
   showField(name: string | null): void {
-    this.#send({ type: "field", name: name ?? "" });
+    this.#send({ case: "field", value: { name: name ?? "" } });
   }
 
   close(): void {
@@ -276,19 +209,20 @@ export class Connection {
     const message = parseText(data);
     if (message === null) {
       console.warn("the gateway sent a message that this viewer does not know", data.slice(0, 200));
-    } else if (message.type === "daemon") {
+    } else if (message.case === "daemon") {
       this.#retryMs = FIRST_RETRY_MS;
-      this.#options.events.onDaemon(message.state);
-    } else if (message.type === "head") {
-      this.#options.events.onHead(message.head);
-    } else if (message.type === "result") {
-      this.#settle(message.result);
-    } else if (message.type === "frames") {
-      if (message.error !== "") {
-        console.warn(`the gateway keeps its frames as they are: ${message.error}`);
+      this.#options.events.onDaemon(message.value);
+    } else if (message.case === "head") {
+      this.#options.events.onHead(message.value);
+    } else if (message.case === "result") {
+      this.#settle(message.value);
+    } else if (message.case === "frames") {
+      // The page knows what it asked for, so only an error is news.
+      if (message.value.error !== "") {
+        console.warn(`the gateway keeps its frames as they are: ${message.value.error}`);
       }
     } else {
-      this.#options.events.onClock(message.reply, performance.now());
+      this.#options.events.onClock(message.value, performance.now());
     }
   }
 
@@ -303,112 +237,26 @@ export class Connection {
   }
 
   #sendAcknowledgement(stream: StreamName, keyframe: number | null): void {
-    this.#send({ type: "ack", stream, ...(keyframe === null ? {} : { keyframe }) });
+    this.#send({ case: "ack", value: { stream, ...(keyframe === null ? {} : { keyframe }) } });
   }
 
   #sendChoice(): void {
+    const { rate_hz, ...choice } = this.#frames;
     if (Object.keys(this.#frames).length > 0) {
-      this.#send({ type: "frames", ...this.#frames });
+      // null differs from no rate, which leaves it as it is.
+      const rateHz = rate_hz === undefined ? {} : { rateHz: fromJson(ValueSchema, rate_hz) };
+      this.#send({ case: "frames", value: { ...choice, ...rateHz } });
     }
   }
 
   #askClock(): void {
-    this.#send({ type: "clock", client_time_ms: performance.now() });
+    this.#send({ case: "clock", value: { clientTimeMs: performance.now() } });
   }
 
-  #send(message: object): void {
+  #send(message: Sent): void {
     // Drop the message if the socket is not open: a new connection starts without it.
     if (this.#socket?.readyState === 1) {
-      this.#socket.send(JSON.stringify(message));
+      this.#socket.send(writeText(message));
     }
   }
-}
-
-type TextMessage =
-  | { readonly type: "daemon"; readonly state: DaemonState }
-  | { readonly type: "head"; readonly head: Head }
-  | { readonly type: "result"; readonly result: CommandResult }
-  /** An answer about the choice of frames. The page knows what it asked for, so only an error is news. */
-  | { readonly type: "frames"; readonly error: string }
-  | { readonly type: "clock"; readonly reply: ClockReply };
-
-/** Parses a text message of the gateway. null if it is not one. */
-export function parseText(text: string): TextMessage | null {
-  let message: unknown;
-  try {
-    message = JSON.parse(text);
-  } catch {
-    return null;
-  }
-  if (typeof message !== "object" || message === null) {
-    return null;
-  }
-  const { type, ...fields } = message as Record<string, unknown>;
-  if (type === "clock") {
-    const { client_time_ms, gateway_time_ms, replaced } = fields;
-    return typeof client_time_ms === "number" && typeof gateway_time_ms === "number" && typeof replaced === "number"
-      ? { type, reply: { clientTimeMs: client_time_ms, gatewayTimeMs: gateway_time_ms, replaced } }
-      : null;
-  }
-  if (type === "result") {
-    const { id, scene, error, adjustments } = fields;
-    return typeof id === "number" && typeof scene === "string" && typeof error === "string"
-      ? { type, result: { id, scene, error, ...(isObject(adjustments) ? { adjustments } : {}) } }
-      : null;
-  }
-  if (type === "head") {
-    const { time_s, frame, playing, speed } = fields;
-    return typeof time_s === "number" && typeof frame === "number" && typeof playing === "boolean" && typeof speed === "number"
-      ? { type, head: { timeS: time_s, frame, playing, speed } }
-      : null;
-  }
-  if (type === "frames") {
-    return typeof fields.error === "string" ? { type, error: fields.error } : null;
-  }
-  if (type === "daemon" && Array.isArray(fields.scenes)) {
-    return {
-      type,
-      state: {
-        problem: String(fields.problem),
-        server: String(fields.server),
-        version: String(fields.version),
-        backend: String(fields.backend),
-        device: String(fields.device),
-        posesAllowed: fields.poses_allowed === true,
-        operator: fields.operator === true,
-        builtinScenes: names(fields.builtin_scenes),
-        fieldScenes: names(fields.field_scenes),
-        scenes: fields.scenes.map(String),
-        recording: recordingOf(fields.recording),
-      },
-    };
-  }
-  return null;
-}
-
-function isObject(value: unknown): value is object {
-  return typeof value === "object" && value !== null;
-}
-
-function recordingOf(value: unknown): Recording | null {
-  if (typeof value !== "object" || value === null) {
-    return null;
-  }
-  const { file, duration_s, frames, marks, note } = value as Record<string, unknown>;
-  return {
-    file: String(file),
-    durationS: Number(duration_s),
-    frames: Number(frames),
-    marks: Array.isArray(marks) ? marks.flatMap(markOf) : [],
-    note: String(note),
-  };
-}
-
-function markOf(value: unknown): Mark[] {
-  const { time_s, kind, text } = value as Record<string, unknown>;
-  return typeof time_s === "number" ? [{ timeS: time_s, kind: String(kind), text: String(text) }] : [];
-}
-
-function names(value: unknown): string[] {
-  return Array.isArray(value) ? value.map(String) : [];
 }

@@ -1,17 +1,11 @@
 // One scene and the connection that shows it: the gateway sends the streams of one scene on each WebSocket.
+import type { MessageInitShape } from "@bufbuild/protobuf";
+
+import type { SceneAdjustmentsSchema } from "../generated/tensormass/v1/adjustment_pb";
+import type { ClockReply, CommandResult, DaemonState, PlayHead } from "../generated/tensormass/v1/gateway_pb";
 import { linkSituation, recordingSituation, sceneSituation, type Situation } from "../situation";
 import { GatewayClock } from "./clock";
-import {
-  Connection,
-  type ClockReply,
-  type Command,
-  type CommandResult,
-  type DaemonState,
-  type Diagnosis,
-  type FrameChoice,
-  type Head,
-  type LinkState,
-} from "./connection";
+import { Connection, type Diagnosis, type FrameChoice, type LinkState } from "./connection";
 import {
   SceneState,
   decodeField,
@@ -31,6 +25,9 @@ import { History } from "./history";
 import { Pace } from "./pace";
 import type { Finding } from "./findings";
 import { SceneStore, type Counters } from "./store";
+import type { Command } from "./texts";
+
+type Adjustments = MessageInitShape<typeof SceneAdjustmentsSchema>;
 
 /** How long a recovery shows after its last step [ms]. Most last for a few steps, which nobody would see. */
 export const RECOVERY_SHOWS_MS = 1500;
@@ -78,7 +75,7 @@ export class Session {
   readonly #clock = new GatewayClock();
   readonly #commands = new Set<Promise<CommandResult>>();
   #daemon: DaemonState | null = null;
-  #head: Head | null = null;
+  #head: PlayHead | null = null;
   #scene: string | null = null;
   #watched: string | null = null;
   #watchedSinceMs = 0;
@@ -115,7 +112,7 @@ export class Session {
   }
 
   /** The play head of a recording; null before the first message about it. */
-  get head(): Head | null {
+  get head(): PlayHead | null {
     return this.#head;
   }
 
@@ -149,7 +146,7 @@ export class Session {
     if (daemon === null) {
       return this.#link;
     }
-    return daemon.recording === null
+    return daemon.recording === undefined
       ? sceneSituation(daemon, this.#scene, this.#watched, this.store)
       : recordingSituation(daemon.recording, this.#head, this.store);
   }
@@ -179,7 +176,7 @@ export class Session {
   /** Takes that the newest frame was drawn. */
   drawn(serverTimeNs: bigint, prepareMs: number, renderMs: number): void {
     const atMs = performance.now();
-    const live = this.store.followsAnother && this.#daemon?.recording === null;
+    const live = this.store.followsAnother && this.#daemon !== null && this.#daemon.recording === undefined;
     this.pace.add({ atMs, ...this.#decoded, prepareMs, renderMs }, live ? this.#clock.ageMs(serverTimeNs, atMs) : null);
   }
 
@@ -211,8 +208,8 @@ export class Session {
     }
   }
 
-  /** Changes values of a scene and returns all of them. The gateway checks its answer, so the answer's form is known. */
-  async adjust(scene: string, changes: object): Promise<object> {
+  /** Changes values of a scene and returns all of them. */
+  async adjust(scene: string, changes: Adjustments): Promise<Adjustments> {
     return (await this.control({ action: "adjust", scene, changes })).adjustments ?? {};
   }
 
@@ -249,7 +246,7 @@ export class Session {
     this.#events.onChange();
   }
 
-  #onHead(head: Head): void {
+  #onHead(head: PlayHead): void {
     this.#head = head;
     this.#events.onChange();
   }
