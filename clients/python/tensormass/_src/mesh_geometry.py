@@ -14,11 +14,15 @@ class MeshQuality:
     """Figures that matter to a solver. Lengths and volumes are in the mesh's own unit, for elements with straight
     edges."""
 
+    #: Number of nodes.
     node_count: int
     #: Number of elements, by the name of their shape.
     element_counts: dict[str, int]
+    #: Sum over the elements; inverted ones count as negative.
     volume: float
+    #: Smallest angle between two faces of an element [deg].
     min_dihedral_angle_deg: float
+    #: Mean over the edges of all elements.
     mean_edge_length: float
     #: Number of elements that are inverted, as a whole or at a corner.
     inverted_count: int

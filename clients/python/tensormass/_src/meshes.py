@@ -25,9 +25,11 @@ BoolArray = npt.NDArray[np.bool_]
 
 
 class ElementBlock(NamedTuple):
-    """Elements of one shape: `nodes` uint32 [element_count, nodes of the shape] in VTK order."""
+    """Elements of one shape."""
 
+    #: Shape of all elements.
     shape: Shape
+    #: uint32 [element_count, nodes of the shape], in VTK order.
     nodes: IndexArray
 
 

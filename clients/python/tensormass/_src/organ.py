@@ -61,11 +61,13 @@ class Organ:
     inside: isosurface.Implicit
     #: Positive where its surroundings hold the organ.
     held: isosurface.Implicit
-    #: Corners of the box, [3] m.
+    #: Lower corner of the box, [3] m.
     lower_m: FloatArray
+    #: Upper corner of the box, [3] m.
     upper_m: FloatArray
-    #: Edge of a cell of the volume and of the skin [m].
+    #: Edge of a cell of the volume [m].
     cell_m: float
+    #: Edge of a cell from which the skin is made [m].
     skin_cell_m: float
     #: Place where a graded volume has smaller cells; None: there is none.
     focus: Focus | None = None

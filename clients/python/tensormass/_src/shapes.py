@@ -20,7 +20,9 @@ class Shape:
 
     #: Name in the protocol, in small letters: "quadratic_tetrahedron".
     name: str
+    #: Number of nodes of an element.
     node_count: int
+    #: Number of those nodes that are corners. They come first.
     corner_count: int
     #: Name in meshio.
     meshio_type: str

@@ -67,9 +67,10 @@ export function gravityOfLength(direction: Point, lengthMPerS2: number): Point {
 
 /** Returns the changes of both; of two for the same value the later one. */
 export function merged(first: Adjustments, later: Adjustments): Adjustments {
-  const bodies = new Map<string | undefined, BodyAdjustment>();
+  const bodies = new Map<string, BodyAdjustment>();
   for (const change of [...(first.bodies ?? []), ...(later.bodies ?? [])]) {
-    bodies.set(change.body, { ...bodies.get(change.body), ...change });
+    const body = change.body ?? "";
+    bodies.set(body, { ...bodies.get(body), ...change });
   }
   return { gravityMPerS2: later.gravityMPerS2 ?? first.gravityMPerS2, bodies: [...bodies.values()] };
 }

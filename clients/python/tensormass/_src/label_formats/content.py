@@ -26,6 +26,7 @@ _METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 class Segment:
     """A named part of a label map."""
 
+    #: Name in the file.
     name: str
     #: Its voxels have this value.
     label: int
@@ -47,6 +48,7 @@ class Labels:
     affine: npt.NDArray[np.float64]
     #: Segments that the file names; empty: each label is a segment with its number as name.
     segments: list[Segment]
+    #: What the reader left out or assumed.
     notes: list[str] = field(default_factory=list)
     #: Unit of the file [m].
     unit_m: float = 1e-3
