@@ -20,7 +20,8 @@ std::size_t slip_reals(const view::ContactView<Real>& contact) {
 }
 template <class Real>
 std::size_t slip_reals(const view::TiesView<Real>& ties) {
-  return ties.slips == nullptr ? 0 : 4 * std::size_t{ties.candidate_count};
+  if (ties.slips == nullptr) return 0;
+  return 4 * std::size_t{ties.candidate_count} + view::kEdgeMemory * std::size_t{ties.edges.slot_count()};
 }
 
 /// Reads the state of all rows.

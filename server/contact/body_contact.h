@@ -282,17 +282,18 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& sta
 }
 
 /// Takes a contact's spring of friction to the end of the step, as end_contact does for tools.
-/// pressure: normal force at the end of the step; not positive: the contact has ended, and its stretch is forgotten.
+///
+///   friction           coefficient
+///   pressure           normal force at the end of the step; not positive: the contact has ended, and its stretch is
+///                      forgotten
+///   slip, checkpoint   stretch and normal force of the contact; checkpoint: the same before the step, if it
+///                      saves one; nullptr: the caller does
 template <class Real>
-TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, const view::TiesView<Real>& ties,
-                                         std::uint32_t candidate, Real pressure) {
-  const view::Tie<Real>& tie = ties.ties[candidate];
-  Real* slip = ties.slips + std::size_t{4} * candidate;
-  if (state.control->saves_checkpoint != 0) {
-    for (std::size_t c = 0; c < 4; ++c) ties.checkpoint_slips[std::size_t{4} * candidate + c] = slip[c];
+TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, const view::Tie<Real>& tie, Real friction,
+                                         Real pressure, Real* slip, Real* checkpoint) {
+  if (checkpoint != nullptr && state.control->saves_checkpoint != 0) {
+    for (std::size_t c = 0; c < 4; ++c) checkpoint[c] = slip[c];
   }
-  const std::uint32_t side = ties.candidates[std::size_t{2} * candidate + 1];
-  const Real friction = ties.side_numbers[std::size_t{view::kSideNumbers} * side + view::kSideFriction];
   Vec3<Real> next = Vec3<Real>::Zero();
   if (pressure > 0 && friction > 0) {
     const Vec3<Real> stretch = contact_stretch(state, tie, slip);
@@ -300,6 +301,12 @@ TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, con
   }
   for (int c = 0; c < 3; ++c) slip[c] = next[c];
   slip[3] = tie.stiffness > 0 ? maximum(pressure, Real(0)) : tie.across;
+}
+
+/// Returns the coefficient of friction of a side.
+template <class Real>
+TM_HOST_DEVICE Real friction_of(const view::TiesView<Real>& ties, std::uint32_t side) {
+  return ties.side_numbers[std::size_t{view::kSideNumbers} * side + view::kSideFriction];
 }
 
 }  // namespace tensormass::contact

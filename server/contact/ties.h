@@ -3,17 +3,19 @@
 #include <cmath>
 
 #include "contact/body_contact.h"
+#include "contact/edge_contact.h"
 #include "view/scene.h"
 
 /// Ties couple bodies within one linear system: contact between bodies, and springs that attach one to another.
 ///
 ///   body_contact.h ──> a tie for each node that touches a surface ──┐
+///   edge_contact.h ──> a tie for each two sharp edges that touch ───┤
 ///   springs of attachments ──> a tie each, until it breaks ─────────┴──> list of each row ──> assembly, A p
 ///
-/// 1. A tie has up to four rows: a node, and the corners of a triangle or another node. Whom a node touches changes
-/// from
-///    step to step, while the matrix has fixed edges. So only the diagonal blocks of a tie are added to the matrix. The
-///    solve multiplies by the other blocks tie by tie (solver/tie_product.h).
+/// 1. A tie has up to four rows: a node, and the corners of a triangle or another node; or the ends of two edges. What
+///    a node or an edge touches changes from step to step, while the matrix has fixed edges. So only the diagonal
+///    blocks of a tie are added to the matrix. The solve multiplies by the other blocks tie by tie
+///    (solver/tie_product.h).
 /// 2. Forces on the rows of a tie add up to zero, so contact and attachments keep the momentum of a scene.
 /// 3. Each row lists its ties. The lists are made anew for each linearization, by all threads at once, and then sorted:
 ///    sums repeat bitwise.
@@ -70,7 +72,7 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_spring(const view::StateView<Real>& state,
   return tie;
 }
 
-/// Stage 2, find ties: finds what each candidate touches, and which springs are taut.
+/// Stage 2, find ties: finds what each candidate and each sharp edge touches, and which springs are taut.
 /// Reads displacement, velocity, boxes, slips, broken; writes ties, head, next.
 template <class Team, class Real>
 TM_HOST_DEVICE void find_ties(const Team& team, const view::StateView<Real>& state,
@@ -86,6 +88,17 @@ TM_HOST_DEVICE void find_ties(const Team& team, const view::StateView<Real>& sta
   if (ties.spring_count > 0) {
     team.for_each(ties.patch_springs[team.patch()], ties.patch_springs[team.patch() + 1],
                   [&](std::uint32_t i) { add(ties.candidate_count + i, tie_of_spring(state, ties, i)); });
+  }
+  if (ties.edges.candidate_count > 0) {
+    team.for_each(ties.edges.patch_candidates[team.patch()], ties.edges.patch_candidates[team.patch() + 1],
+                  [&](std::uint32_t i) {
+                    const EdgeTouches<Real> touches = EdgeSearch<Real>(state, ties, i).find();
+                    for (std::uint32_t slot = 0; slot < view::kEdgeSlots; ++slot) {
+                      const std::uint32_t place = i * view::kEdgeSlots + slot;
+                      ties.edges.partners[place] = touches.other[slot];
+                      add(ties.first_edge_tie() + place, tie_of_touch(state, ties, i, touches, slot));
+                    }
+                  });
   }
 }
 
@@ -142,11 +155,20 @@ TM_HOST_DEVICE void measure_ties(Team& team, const view::StateView<Real>& state,
       const view::Tie<Real>& tie = ties.ties[i];
       const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
       const Real pressure = tie.stiffness > 0 ? n.dot(force_after(tie, change_made)) : Real(0);
-      if (ties.slips != nullptr) end_contact_friction(state, ties, i, pressure);
+      if (ties.slips != nullptr) {
+        const Real friction = friction_of(ties, ties.candidates[std::size_t{2} * i + 1]);
+        const std::size_t slip = std::size_t{4} * i;
+        end_contact_friction(state, tie, friction, pressure, ties.slips + slip, ties.checkpoint_slips + slip);
+      }
       if (!(pressure > 0)) return;
       counts[0] += 1;
       deepest[0] = maximum(deepest[0], pressure / tie.stiffness);
     });
+  }
+  if (ties.edges.candidate_count > 0) {
+    const std::uint32_t* begin = ties.edges.patch_candidates + team.patch();
+    team.for_each(begin[0], begin[1],
+                  [&](std::uint32_t i) { counts[0] += end_edge_contacts(state, ties, i, change_made, deepest[0]); });
   }
   if (ties.spring_count > 0) {
     team.for_each(ties.patch_springs[team.patch()], ties.patch_springs[team.patch() + 1], [&](std::uint32_t i) {

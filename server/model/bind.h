@@ -229,9 +229,22 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.ties.candidate_modulus = arena.template constant<Real>("moduli of contact candidates", ties.candidate_modulus);
   s.ties.side_groups = arena.template constant<uint32_t>("boxes of bodies", ties.side_groups);
   s.ties.side_numbers = arena.template constant<Real>("contacts of bodies", ties.side_numbers);
-  const std::size_t tie_slips = 4 * only_if(ties.contacts_remember(), ties.candidate_count());
+  const std::size_t edge_slots = ties.edge_slot_count(), edges_from = 4 * std::size_t{ties.candidate_count()};
+  const std::size_t tie_slips = only_if(ties.contacts_remember(), edges_from + view::kEdgeMemory * edge_slots);
   s.ties.slips = arena.template zeros<Real>("friction slips of bodies", tie_slips);
   s.ties.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips of bodies", tie_slips);
+  s.ties.edges.candidate_count = ties.edge_candidate_count();
+  s.ties.edges.rows = arena.template constant<uint32_t>("sharp edges", ties.edge_rows);
+  s.ties.edges.numbers = arena.template constant<Real>("areas of sharp edges", ties.edge_numbers);
+  s.ties.edges.triangle_edges = arena.template constant<uint32_t>("sharp edges of triangles", ties.triangle_edges);
+  s.ties.edges.patch_candidates =
+      arena.template constant<uint32_t>("edge candidates of patches", ties.patch_edge_candidates);
+  s.ties.edges.candidates = arena.template constant<uint32_t>("edge candidates", ties.edge_candidates);
+  s.ties.edges.partners = arena.template zeros<uint32_t>("partners of edges", edge_slots);
+  if (edge_slots > 0) {
+    s.ties.edges.memory = s.ties.slips + edges_from;
+    s.ties.edges.checkpoint_memory = s.ties.checkpoint_slips + edges_from;
+  }
   s.ties.patch_springs = arena.template constant<uint32_t>("springs of patches", ties.patch_springs);
   s.ties.spring_rows = arena.template constant<uint32_t>("springs", ties.spring_rows);
   s.ties.spring_numbers = arena.template constant<Real>("stiffness of springs", ties.spring_numbers);

@@ -159,6 +159,18 @@ void check_ties(const Model& m) {
   }
   TM_ASSERT(are_below(ties.spring_rows, m.layout.row_count), "springs name rows of the layout");
   TM_ASSERT(ties.spring_numbers.size() == 3 * std::size_t{ties.spring_count()}, "each spring has its numbers");
+  if (ties.edge_candidate_count() == 0) return;
+  const std::size_t edges = ties.edge_rows.size() / 4;
+  TM_ASSERT(are_below(ties.edge_rows, m.layout.row_count), "edges name rows of the layout");
+  TM_ASSERT(ties.edge_numbers.size() == view::kEdgeNumbers * edges, "each edge has its numbers");
+  TM_ASSERT(ties.triangle_edges.size() == m.contact.triangle_rows.size(), "a triangle has three edges");
+  for (const std::uint32_t edge : ties.triangle_edges) {
+    TM_ASSERT(edge < edges || edge == view::kNoEntry, "triangles name edges that exist");
+  }
+  assert_offsets(ties.patch_edge_candidates, patches, ties.edge_candidate_count());
+  for (std::size_t i = 0; i < ties.edge_candidates.size(); i += 2) {
+    TM_ASSERT(ties.edge_candidates[i] < edges && ties.edge_candidates[i + 1] < sides, "it names those that exist");
+  }
 }
 
 }  // namespace

@@ -160,14 +160,23 @@ struct Ties {
   std::vector<double> spring_numbers;           ///< [spring_count, 3]
   /// [spring_count] place of each spring in the other arrays, in the order of the scene's attachments.
   std::vector<std::uint32_t> spring_places;
+  // Sharp edges (view::EdgesView); empty if no two bodies that touch both have some.
+  std::vector<std::uint32_t> edge_rows;              ///< [edge, 4]
+  std::vector<double> edge_numbers;                  ///< [edge, kEdgeNumbers]
+  std::vector<std::uint32_t> triangle_edges;         ///< [triangle_count, 3]
+  std::vector<std::uint32_t> patch_edge_candidates;  ///< [patch_count + 1]
+  std::vector<std::uint32_t> edge_candidates;        ///< [edge_candidate_count, 2]
 
   std::uint32_t candidate_count() const { return static_cast<std::uint32_t>(candidate_area.size()); }
   std::uint32_t spring_count() const { return static_cast<std::uint32_t>(spring_rows.size() / 2); }
-  std::uint32_t count() const { return candidate_count() + spring_count(); }
+  std::uint32_t edge_candidate_count() const { return static_cast<std::uint32_t>(edge_candidates.size() / 2); }
+  std::uint32_t edge_slot_count() const { return edge_candidate_count() * view::kEdgeSlots; }
+  std::uint32_t count() const { return candidate_count() + spring_count() + edge_slot_count(); }
   std::uint32_t leaf_count() const { return static_cast<std::uint32_t>(leaf_triangles.size() / view::kLeafTriangles); }
-  /// Returns whether contacts remember something from step to step (view::TiesView::slips): friction, or on which side
-  /// of its own body's surface a node is.
+  /// Returns whether contacts remember something from step to step (view::TiesView::slips): friction, on which side
+  /// of its own body's surface a node is, or which edges touch.
   bool contacts_remember() const {
+    if (edge_candidate_count() > 0) return true;
     for (std::size_t side = 0; side < side_groups.size() / 3; ++side) {
       if (side_groups[3 * side + 2] != 0 || side_numbers[side * view::kSideNumbers + view::kSideFriction] > 0)
         return true;

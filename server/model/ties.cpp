@@ -12,6 +12,11 @@ namespace tensormass::model {
 
 namespace {
 
+/// Cosine of the angle between the normals of two triangles beyond which their edge is sharp: 45°.
+constexpr double kSharpTurnCosine = 0.7;
+/// Cosine of the angle up to which an edge continues the ridge of another.
+constexpr double kRidgeCosine = 0.7;
+
 class TieMaker {
  public:
   explicit TieMaker(const TieInput& input) : in_(input), layout_(input.layout) {}
@@ -20,10 +25,14 @@ class TieMaker {
     if (!in_.ties.contacts.empty()) {
       find_surfaces();
       for (const BodyContactModel& contact : in_.ties.contacts) {
+        const auto side = static_cast<std::uint32_t>(out_.side_groups.size() / 3);
         add_side(contact, contact.body, contact.other);
-        if (contact.body != contact.other) add_side(contact, contact.other, contact.body);
+        if (contact.body == contact.other) continue;
+        add_side(contact, contact.other, contact.body);
+        add_edges(contact, side);
       }
       store_candidates();
+      store_edges();
     }
     store_springs();
     store_rows();
@@ -39,9 +48,15 @@ class TieMaker {
     std::uint32_t row, other, number;  // number: in the order of the scene
     std::array<double, 3> numbers;
   };
+  struct EdgeCandidate {
+    std::uint32_t row, edge, side;
+  };
   struct Surface {
     std::vector<std::uint32_t> vertices, triangles;  ///< places in ContactSurface
     std::array<std::uint32_t, 2> groups{0, 0};       ///< groups of boxes
+    bool has_edges = false;                          ///< its sharp edges have been looked for
+    std::uint32_t edge_begin = 0, edge_end = 0;      ///< sharp edges
+    double mean_edge_m = 0;                          ///< of them
   };
 
   std::size_t body_of_row(std::uint32_t row) const { return body_of_node(in_.bodies.bodies, layout_.node_of_row[row]); }
@@ -105,6 +120,108 @@ class TieMaker {
     for (const std::uint32_t vertex : surfaces_[of_nodes].vertices) {
       candidates_.push_back({in_.contact.surface_rows[vertex], vertex, side, vertex_area_[vertex] / 2,
                              vertex_modulus_[vertex] / vertex_area_[vertex]});
+    }
+  }
+
+  Eigen::Vector3d position_of_row(std::uint32_t row) const { return in_.bodies.merged.nodes[layout_.node_of_row[row]]; }
+  std::uint32_t row_of_corner(std::uint32_t triangle, std::size_t corner) const {
+    return in_.contact.triangle_rows[3 * std::size_t{triangle} + corner % 3];
+  }
+  Eigen::Vector3d normal_of(std::uint32_t triangle) const {
+    const Eigen::Vector3d x = position_of_row(row_of_corner(triangle, 0));
+    return (position_of_row(row_of_corner(triangle, 1)) - x)
+        .cross(position_of_row(row_of_corner(triangle, 2)) - x)
+        .normalized();
+  }
+
+  /// Lets the sharp edges of two bodies touch. The body with the shorter ones searches, so an edge finds few others.
+  ///
+  ///   side   the one of the nodes of contact.body; that of contact.other follows it
+  void add_edges(const BodyContactModel& contact, std::uint32_t side) {
+    find_edges(surfaces_[contact.body]);
+    find_edges(surfaces_[contact.other]);
+    const Surface &a = surfaces_[contact.body], &b = surfaces_[contact.other];
+    if (a.edge_begin == a.edge_end || b.edge_begin == b.edge_end) return;
+    const bool first = a.mean_edge_m <= b.mean_edge_m;
+    const Surface& searching = first ? a : b;
+    for (std::uint32_t edge = searching.edge_begin; edge < searching.edge_end; ++edge) {
+      edge_candidates_.push_back({out_.edge_rows[4 * std::size_t{edge}], edge, first ? side : side + 1});
+    }
+  }
+
+  /// Stores the sharp edges of a body.
+  void find_edges(Surface& surface) {
+    if (surface.has_edges) return;
+    surface.has_edges = true;
+    surface.edge_begin = surface.edge_end = static_cast<std::uint32_t>(out_.edge_rows.size() / 4);
+    const ContactSurface& contact = in_.contact;
+    out_.triangle_edges.resize(contact.triangle_rows.size(), view::kNoEntry);
+    double sum_m = 0;
+    for (const std::uint32_t triangle : surface.triangles) {
+      for (std::size_t corner = 0; corner < 3; ++corner) {
+        const std::uint32_t across = contact.triangle_neighbours[3 * std::size_t{triangle} + corner];
+        if (across == view::kNoTriangle || across < triangle) continue;  // each edge once
+        const Eigen::Vector3d normal = normal_of(triangle), other_normal = normal_of(across);
+        if (!(normal.dot(other_normal) < kSharpTurnCosine)) continue;
+        const std::array<std::uint32_t, 3> rows{row_of_corner(triangle, corner), row_of_corner(triangle, corner + 1),
+                                                row_of_corner(triangle, corner + 2)};
+        std::size_t far = 0;
+        while (row_of_corner(across, far) == rows[0] || row_of_corner(across, far) == rows[1]) ++far;
+        const std::uint32_t far_row = row_of_corner(across, far);
+        const Eigen::Vector3d start = position_of_row(rows[0]);
+        if (!(other_normal.dot(position_of_row(rows[2]) - start) < 0)) continue;  // concave
+        const double length_m = (position_of_row(rows[1]) - start).norm(), area = contact.triangle_area[triangle],
+                     other_area = contact.triangle_area[across];
+        out_.triangle_edges[3 * std::size_t{triangle} + corner] = surface.edge_end++;
+        out_.edge_rows.insert(out_.edge_rows.end(), {rows[0], rows[1], rows[2], far_row});
+        std::array<double, view::kEdgeNumbers> numbers{};
+        numbers[view::kEdgeArea] = (area + other_area) / 3;
+        numbers[view::kEdgeModulus] = (area * contact.triangle_moduli[2 * std::size_t{triangle}] +
+                                       other_area * contact.triangle_moduli[2 * std::size_t{across}]) /
+                                      (area + other_area);
+        numbers[view::kEdgeWidth] = 2 * std::min(area, other_area) / length_m;
+        out_.edge_numbers.insert(out_.edge_numbers.end(), numbers.begin(), numbers.end());
+        sum_m += length_m;
+      }
+    }
+    if (surface.edge_end > surface.edge_begin) surface.mean_edge_m = sum_m / (surface.edge_end - surface.edge_begin);
+    find_ends_of_ridges(surface);
+  }
+
+  /// Finds at which of their ends sharp edges are not continued by another.
+  void find_ends_of_ridges(const Surface& surface) {
+    std::map<std::uint32_t, std::vector<std::pair<std::uint32_t, Eigen::Vector3d>>> leaving;  // by row: edge, direction
+    const auto row_of = [&](std::uint32_t edge, std::size_t end) {
+      return out_.edge_rows[4 * std::size_t{edge} + end];
+    };
+    const auto direction = [&](std::uint32_t edge, std::size_t from) -> Eigen::Vector3d {
+      return (position_of_row(row_of(edge, 1 - from)) - position_of_row(row_of(edge, from))).normalized();
+    };
+    for (std::uint32_t edge = surface.edge_begin; edge < surface.edge_end; ++edge) {
+      for (const std::size_t end : {0, 1}) leaving[row_of(edge, end)].emplace_back(edge, direction(edge, end));
+    }
+    for (std::uint32_t edge = surface.edge_begin; edge < surface.edge_end; ++edge) {
+      for (const std::size_t end : {0, 1}) {
+        const Eigen::Vector3d own = direction(edge, end);
+        const auto& others = leaving[row_of(edge, end)];
+        const bool goes_on = std::any_of(others.begin(), others.end(), [&](const auto& other) {
+          return other.first != edge && other.second.dot(own) < -kRidgeCosine;
+        });
+        out_.edge_numbers[std::size_t{view::kEdgeNumbers} * edge + view::kEdgeFirstEnds + end] = goes_on ? 0 : 1;
+      }
+    }
+  }
+
+  void store_edges() {
+    if (edge_candidates_.empty()) {  // no pair of bodies has sharp edges on both sides
+      out_.edge_rows.clear();
+      out_.edge_numbers.clear();
+      out_.triangle_edges.clear();
+      return;
+    }
+    out_.patch_edge_candidates = group_by_patch(edge_candidates_);
+    for (const EdgeCandidate& candidate : edge_candidates_) {
+      out_.edge_candidates.insert(out_.edge_candidates.end(), {candidate.edge, candidate.side});
     }
   }
 
@@ -175,6 +292,7 @@ class TieMaker {
   std::vector<double> vertex_area_;     // [surface vertex]
   std::vector<double> vertex_modulus_;  // [surface vertex] E times area, summed
   std::vector<Candidate> candidates_;
+  std::vector<EdgeCandidate> edge_candidates_;
 };
 
 }  // namespace

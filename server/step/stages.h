@@ -133,9 +133,10 @@ struct StageSizes {
   Cost find_ties() const {
     const double leaves = m.ties.leaf_triangles.size() / view::kLeafTriangles;
     const double boxes = leaves / view::kGroupLeaves + view::kGroupLeaves, candidates = m.ties.candidate_count();
-    const double near = candidates * view::kLeafTriangles;
+    const double searching = candidates + m.ties.edge_candidate_count();
+    const double near = searching * view::kLeafTriangles;
     return {leaves * 6 * real + near * (4 + 12 + 9 * real) + m.ties.count() * 15 * real,
-            candidates * boxes * 15 + near * 60};
+            searching * boxes * 15 + near * 60};
   }
   Cost solve() const {  // one iteration
     const double tied = 4 * m.ties.count();

@@ -4,8 +4,9 @@
 
 #include "core/scalar.h"
 
-/// Ties: springs between a node and a point of a triangle, or another node. Contact between bodies and attachments are
-/// made of ties (contact/ties.h). In a scene without them all pointers are nullptr and all counts zero.
+/// Ties: springs between a node and a point of a triangle, or another node, or between points of two edges. Contact
+/// between bodies and attachments are made of ties (contact/ties.h). In a scene without them all pointers are nullptr
+/// and all counts zero.
 namespace tensormass::view {
 
 inline constexpr std::uint32_t kNoEntry = 0xFFFFFFFFu;
@@ -19,12 +20,13 @@ inline constexpr std::uint32_t kGroupLeaves = 16;
 /// weights.
 template <class Real>
 struct Tie {
-  std::uint32_t rows[4];  // the node, then the corners of the triangle; without a triangle the other node comes second
-  Real weight[4];         // 1, then minus the barycentric coordinates: they add up to zero. Zero: no such corner
-  Real normal[3];         // n
-  Real force[3];          // [N]
-  Real stiffness;         // [N/m]; zero: the tie does nothing in this step
-  Real across;            // [N/m]; of a contact without stiffness: contact::NodeSide
+  // The node, then the corners of the triangle, or the other node. Of two edges: the ends of each.
+  std::uint32_t rows[4];
+  Real weight[4];  // 1, then minus the barycentric coordinates: they add up to zero. Zero: no such corner
+  Real normal[3];  // n
+  Real force[3];   // [N]
+  Real stiffness;  // [N/m]; zero: the tie does nothing in this step
+  Real across;     // [N/m]; of a contact without stiffness: contact::NodeSide
 };
 
 /// A box along the axes. Empty: least > most.
@@ -36,7 +38,7 @@ struct AxisBox {
 /// What the ties of a patch did in the last step.
 template <class Real>
 struct TieReport {
-  Real contacts;   // nodes that touch a surface
+  Real contacts;   // nodes that touch a surface, and pairs of edges that touch
   Real deepest_m;  // largest penetration
   Real broken;     // springs that have broken so far
 };
@@ -50,6 +52,47 @@ enum SideNumber : std::uint32_t {
   kSideReach,
   kSideFriction,
   kSideNumbers
+};
+
+/// Pairs that a sharp edge can touch at once.
+inline constexpr std::uint32_t kEdgeSlots = 4;
+
+/// Numbers of a sharp edge in EdgesView::numbers.
+enum EdgeNumber : std::uint32_t {
+  kEdgeArea,       // a third of the two triangles at the edge [m²]
+  kEdgeModulus,    // E of the elements behind them, their mean [Pa]
+  kEdgeWidth,      // the smaller of the distances from the edge to the third corners [m]
+  kEdgeFirstEnds,  // 1: the ridge ends at the edge's first end; 0: another sharp edge continues it there
+  kEdgeLastEnds,
+  kEdgeNumbers
+};
+
+/// What a pair of edges remembers from step to step, in EdgesView::memory.
+enum EdgeMemory : std::uint32_t {
+  kEdgeStretch,      // three: stretch of the spring of friction [m]
+  kEdgeForce = 3,    // normal force [N], both at the end of the last step
+  kEdgePartner = 4,  // the other edge + 1; 0: the slot is free
+  kEdgeMemory
+};
+
+/// Sharp convex edges of bodies, which can touch those of another body (contact/edge_contact.h).
+template <class Real>
+struct EdgesView {
+  std::uint32_t candidate_count;  // edges that may touch those of another body
+
+  const std::uint32_t* rows;            // [edge, 4] first end, last end, third corner to the left and to the right
+  const Real* numbers;                  // [edge, kEdgeNumbers]
+  const std::uint32_t* triangle_edges;  // [triangle_count, 3] edges that a triangle shows to a search, or kNoEntry
+
+  // Candidates, grouped by the patch of their first row.
+  const std::uint32_t* patch_candidates;  // [patch_count + 1]
+  const std::uint32_t* candidates;        // [candidate_count, 2] edge, side
+
+  std::uint32_t* partners;  // [candidate_count, kEdgeSlots] other edge of each tie of this step
+  Real* memory;             // [candidate_count, kEdgeSlots, kEdgeMemory] a part of TiesView::slips
+  Real* checkpoint_memory;
+
+  TM_HOST_DEVICE std::uint32_t slot_count() const { return candidate_count * kEdgeSlots; }
 };
 
 template <class Real>
@@ -75,7 +118,8 @@ struct TiesView {
   const std::uint32_t* side_groups;       // [side, 3] first group of boxes, last + 1, 1 if the nodes are of that body
   const Real* side_numbers;               // [side, kSideNumbers]
   Real* slips;  // [candidate_count, 4] stretch of the spring of friction [m]; 4th: normal force [N], or where the node
-                // was (contact::NodeSide). At the end of the last step; nullptr: nothing is remembered
+                // was (contact::NodeSide). At the end of the last step; nullptr: nothing is remembered. Then what
+                // pairs of edges remember (EdgesView::memory)
   Real* checkpoint_slips;
 
   // Springs, grouped by the patch of their first row.
@@ -85,14 +129,17 @@ struct TiesView {
   Real* broken;                        // [spring_count] 1: the spring is broken
   Real* checkpoint_broken;
 
-  // The ties of this step: those of the candidates, then the springs.
-  Tie<Real>* ties;      // [candidate_count + spring_count]
+  EdgesView<Real> edges;
+
+  // The ties of this step: those of the candidates, then the springs, then the slots of edges.
+  Tie<Real>* ties;      // [count()]
   std::uint32_t* head;  // [row_count] first entry of a row, or kNoEntry. Entry 4 t + r is row r of tie t
-  std::uint32_t* next;  // [4 (candidate_count + spring_count)] next entry of the same row, or kNoEntry
+  std::uint32_t* next;  // [4 count()] next entry of the same row, or kNoEntry
 
   TieReport<Real>* reports;  // [patch_count]
 
-  TM_HOST_DEVICE std::uint32_t count() const { return candidate_count + spring_count; }
+  TM_HOST_DEVICE std::uint32_t first_edge_tie() const { return candidate_count + spring_count; }
+  TM_HOST_DEVICE std::uint32_t count() const { return first_edge_tie() + edges.slot_count(); }
 };
 
 }  // namespace tensormass::view

@@ -9,6 +9,7 @@
 
 #include "model/compile.h"
 #include "support/laws.h"
+#include "support/ridges.h"
 #include "support/scenes.h"
 #include "world/world.h"
 
@@ -117,6 +118,29 @@ TEST_P(CudaAgreement, ProbePressedIntoABlock) {
   EXPECT_LT(relative_difference(cpu.positions, cuda.positions, rest.positions), tolerance());
   ASSERT_GT(cpu.forces.back().norm(), 0.1);
   EXPECT_LT((cpu.forces.back() - cuda.forces.back()).norm(), tolerance() * 10 * cpu.forces.back().norm());
+}
+
+/// Ridges that hold each other at their edges alone: the bar falls, strikes, and rubs.
+TEST_P(CudaAgreement, CrossedRidges) {
+  if (GetParam().linear) GTEST_SKIP() << "the law makes no difference to contact";
+  tests::Ridges ridges;
+  ridges.gap_m = 0.002;
+  ridges.yaw = 1.1;
+  ridges.friction = 0.3;
+  ridges.dt_s = 0.005;
+  ridges.double_precision = GetParam().double_precision;
+  v1::Scene scene = tests::crossed_ridges(ridges);
+  scene.mutable_solver()->set_cg_tolerance(GetParam().double_precision ? 1e-14 : 1e-6);
+  // The bar that moves is first: `run` reads that body.
+  scene.mutable_bodies()->SwapElements(0, 1);
+  const Trajectory rest = run(*cpu_, scene, 0, false);
+  const Trajectory cpu = run(*cpu_, scene, 100, false);
+  const Trajectory cuda = run(*cuda_, scene, 100, false), again = run(*cuda_, scene, 100, false);
+  EXPECT_LT(relative_difference(cpu.positions, cuda.positions, rest.positions), tolerance());
+  EXPECT_EQ(cuda.positions, again.positions) << "it repeats bitwise";
+  double lowest_m = 0;
+  for (std::size_t i = 1; i < cpu.positions.size(); i += 3) lowest_m = std::min(lowest_m, cpu.positions[i]);
+  EXPECT_GT(lowest_m, -0.005) << "the ridges hold";
 }
 
 /// Pushes one node through its neighbours. The inverted element must be detected in every patch, by a stage or by the
@@ -274,6 +298,25 @@ TEST(CpuTeams, AgreeAndRepeat) {
                    again = run(*three, scene, 30, false);
   EXPECT_EQ(single.patches, 1u);
   EXPECT_EQ(team.patches, 3u) << "the test needs several patches";
+  EXPECT_EQ(team.positions, again.positions);
+  EXPECT_LT(relative_difference(single.positions, team.positions, rest.positions), 1e-10);
+}
+
+/// Edges of one thread's bar touch those of another's.
+TEST(CpuTeams, AgreeOnCrossedRidges) {
+  tests::Ridges ridges;
+  ridges.lower_cells = ridges.upper_cells = 11;
+  ridges.gap_m = 0.002;
+  ridges.friction = 0.3;
+  ridges.dt_s = 0.005;
+  v1::Scene scene = tests::crossed_ridges(ridges);
+  scene.mutable_solver()->set_cg_tolerance(1e-14);
+  scene.mutable_bodies()->SwapElements(0, 1);
+  const auto one = backend::make_cpu_backend(1), three = backend::make_cpu_backend(3);
+  const Trajectory rest = run(*one, scene, 0, false);
+  const Trajectory single = run(*one, scene, 100, false), team = run(*three, scene, 100, false),
+                   again = run(*three, scene, 100, false);
+  EXPECT_GT(team.patches, 1u) << "the test needs several patches";
   EXPECT_EQ(team.positions, again.positions);
   EXPECT_LT(relative_difference(single.positions, team.positions, rest.positions), 1e-10);
 }
