@@ -52,7 +52,7 @@ template <class Real>
 struct SharpEdge {
   Vec3<Real> a, b;     // ends
   Vec3<Real> outward;  // mean of the normals of its triangles, unit length
-  Real cosine;         // of the angle between `outward` and each of them
+  Real cosine;         // between `outward` and each of these normals
 
   TM_HOST_DEVICE Vec3<Real> at(Real place) const { return a + (b - a) * place; }
 };

@@ -56,7 +56,7 @@ class TieMaker {
     std::array<std::uint32_t, 2> groups{0, 0};       ///< groups of boxes
     bool has_edges = false;                          ///< its sharp edges have been looked for
     std::uint32_t edge_begin = 0, edge_end = 0;      ///< sharp edges
-    double mean_edge_m = 0;                          ///< of them
+    double mean_edge_m = 0;                          ///< mean length of the sharp edges
   };
 
   std::size_t body_of_row(std::uint32_t row) const { return body_of_node(in_.bodies.bodies, layout_.node_of_row[row]); }

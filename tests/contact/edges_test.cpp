@@ -227,7 +227,7 @@ TEST(EdgeTies, MeetWhereTheirLinesAreClosest) {
   EXPECT_GT(crossing, 150);
 }
 
-/// A body of which no edge is sharp has no candidates, and neither has one that only touches itself.
+/// A body without a sharp edge has no candidates, and neither has one that only touches itself.
 TEST(EdgeTies, AreOnlyThoseOfSharpEdges) {
   v1::Scene scene = crossed_ridges();
   EXPECT_GT(tests::compile_into(scene, 1, matrix::Storage::kEdges).ties.edge_candidate_count(), 0u);

@@ -15,11 +15,11 @@ namespace tensormass::tests {
 /// middle. The upper one crosses above its middle.
 struct Ridges {
   std::uint32_t lower_cells = 3, upper_cells = 5;  ///< along each bar
-  mesh::Shape shape = mesh::Shape::kHexahedron;    ///< of the elements
+  mesh::Shape shape = mesh::Shape::kHexahedron;    ///< elements
   double yaw = std::numbers::pi / 2;               ///< angle between the bars
   double upper_turn = std::numbers::pi / 4;        ///< 0: the upper bar lies on a flat side
   double gap_m = 0;                                ///< between lower and upper bar
-  double offset_m = 0.0023;                        ///< of the upper bar along its axis
+  double offset_m = 0.0023;                        ///< moves the upper bar along its axis
   bool is_guided = true;                           ///< the upper bar only moves up and down
   double friction = 0, young_modulus_pa = 1e5, dt_s = 1.0 / 60;
   bool double_precision = true;
