@@ -116,14 +116,10 @@ std::vector<std::uint32_t> elements_of_places(const std::vector<std::uint32_t>& 
   return out;
 }
 
-matrix::ElementRows rows_of(const ElementGroup& group) {
-  return {static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride, group.rows};
-}
-
 /// Adds K_kl of an element with a linear law to the constant edges.
 template <class Shape>
 void add_constant_tensors(const matrix::Layout& layout, const Material& material, std::span<const std::uint32_t> nodes,
-                          const physics::ElementAtRest<Shape>& rest, std::span<double> constant_edges) {
+                          const physics::ElementAtRest<Shape>& rest, GroupedElements& out) {
   physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
     using Law = typename decltype(tag)::Type;
     if constexpr (Law::kConstantStiffness) {
@@ -133,7 +129,7 @@ void add_constant_tensors(const matrix::Layout& layout, const Material& material
       const auto tensors =
           physics::element_tensors<Law>(rest, at_rest, material.parameters.data(), physics::Stiffness::kConsistent);
       const auto add = [&](std::uint32_t slot, const Mat3<double>& block) {
-        double* edges = constant_edges.data();
+        double* edges = out.constant_edges.data();
         for (std::uint32_t i = 0; i < 9; ++i) edges[layout.component(slot, i)] += block(i / 3, i % 3);
       };
       for (int k = 0; k < Shape::kNodes; ++k) {
@@ -226,7 +222,7 @@ Result<GroupedElements> group_elements(const ReadBodies& all, std::span<const Cl
                                   material.law, body.quadrature, share, alone ? b : 0, series_of(material.prony)}];
     if (material.constant_stiffness) {
       if (out.constant_edges.empty()) out.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
-      add_constant_tensors(layout, material, nodes, rest, out.constant_edges);
+      add_constant_tensors(layout, material, nodes, rest, out);
     }
     if (group.elements.empty()) {  // reserves for the whole body: growing would copy large vectors many times
       const std::size_t most = body.element_count;
@@ -285,44 +281,6 @@ Result<GroupedElements> group_elements(const ReadBodies& all, std::span<const Cl
     out.groups.push_back(make_group(key, elements, layout));
     out.groups.back().prony = all_series[key.series];
   }
-  return out;
-}
-
-Result<matrix::GroupRowLists> list_elements_of_rows(const matrix::Layout& layout, const GroupedElements& elements) {
-  if (layout.storage == matrix::Storage::kEdges) return matrix::GroupRowLists{};  // elements add to the matrix directly
-  if (const std::uint32_t widest = layout.widest_slice(); widest >= matrix::own_place(16)) {
-    return fail(ErrorCode::kResourceExhausted,
-                fmt::format("a node has {} neighbours, and rows of the matrix hold fewer than {}; "
-                            "split the elements around it",
-                            widest, matrix::own_place(16)));
-  }
-  std::vector<matrix::ElementRows> rows;  // [group] only the first groups compute tensors in each step
-  for (const ElementGroup& group : elements.groups) {
-    if (!group.is_constant) rows.push_back(rows_of(group));
-  }
-  return matrix::make_row_lists(layout, rows, elements.constant_edges.empty());
-}
-
-SolveChoice choose_solve(const Settings& settings, const ReadTies& ties, const matrix::Layout& layout,
-                         std::span<const ElementGroup> groups, const PatchPolicy& policy) {
-  SolveChoice out;
-  if (layout.storage == matrix::Storage::kEdges || settings.double_precision) return out;
-  if (!ties.empty()) return out;  // the fused solves know only neighbours in the mesh (solver/tie_product.h)
-  const std::uint32_t rows = layout.largest_patch();
-  if (policy.solve_of) out.kind = policy.solve_of(layout);
-  out.keeps_vectors = rows <= policy.solve_keeps_rows;
-  // The solve checks volumes only if it is the last of its step, which Newton iterations do not know in advance.
-  // PatchTetrahedra stores local numbers in 16 bits.
-  if (settings.iterates() || !out.keeps_vectors || rows > 0xFFFF) return out;
-  std::vector<matrix::ElementRows> tetrahedra;
-  for (std::size_t g = 0; g < groups.size(); ++g) {
-    const ElementGroup& group = groups[g];
-    if (!group.checks_volume || group.shape != physics::index_of<physics::LinearTetrahedron>(physics::Shapes{}))
-      continue;
-    out.checked_groups.push_back(g);
-    tetrahedra.push_back(rows_of(group));
-  }
-  if (!tetrahedra.empty()) out.checked = matrix::share_out_tetrahedra(layout, tetrahedra);
   return out;
 }
 

@@ -10,6 +10,7 @@
 #include <cuda_runtime.h>
 
 #include "backend/backend.h"
+#include "backend/checkpoint.h"
 #include "backend/cuda/blocks.h"
 #include "backend/cuda/elements.h"
 #include "backend/cuda/graph.cuh"
@@ -17,7 +18,6 @@
 #include "backend/cuda/rows_memory.h"
 #include "backend/cuda/solve_plan.cuh"
 #include "backend/cuda/stage_kernels.h"
-#include "backend/checkpoint.h"
 #include "backend/saved_state.h"
 #include "backend/step_inputs.h"
 #include "backend/step_reports.h"

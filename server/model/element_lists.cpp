@@ -1,0 +1,57 @@
+#include <fmt/format.h>
+
+#include "matrix/row_elements.h"
+#include "model/compile_parts.h"
+
+/// Lists elements for those that visit them otherwise than group by group: rows, and the solve that checks volumes.
+///
+/// A file of its own: with it, gcc inlines other functions of elements.cpp, and constant tensors round otherwise.
+namespace tensormass::model {
+
+namespace {
+
+matrix::ElementRows rows_of(const ElementGroup& group) {
+  return {static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride, group.rows};
+}
+
+}  // namespace
+
+Result<matrix::GroupRowLists> list_elements_of_rows(const matrix::Layout& layout, const GroupedElements& elements) {
+  if (layout.storage == matrix::Storage::kEdges) return matrix::GroupRowLists{};  // elements add to the matrix directly
+  if (const std::uint32_t widest = layout.widest_slice(); widest >= matrix::own_place(16)) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("a node has {} neighbours, and rows of the matrix hold fewer than {}; "
+                            "split the elements around it",
+                            widest, matrix::own_place(16)));
+  }
+  std::vector<matrix::ElementRows> rows;  // [group] only the first groups compute tensors in each step
+  for (const ElementGroup& group : elements.groups) {
+    if (!group.is_constant) rows.push_back(rows_of(group));
+  }
+  return matrix::make_row_lists(layout, rows, elements.constant_edges.empty());
+}
+
+SolveChoice choose_solve(const Settings& settings, const ReadTies& ties, const matrix::Layout& layout,
+                         std::span<const ElementGroup> groups, const PatchPolicy& policy) {
+  SolveChoice out;
+  if (layout.storage == matrix::Storage::kEdges || settings.double_precision) return out;
+  if (!ties.empty()) return out;  // the fused solves know only neighbours in the mesh (solver/tie_product.h)
+  const std::uint32_t rows = layout.largest_patch();
+  if (policy.solve_of) out.kind = policy.solve_of(layout);
+  out.keeps_vectors = rows <= policy.solve_keeps_rows;
+  // The solve checks volumes only if it is the last of its step, which Newton iterations do not know in advance.
+  // PatchTetrahedra stores local numbers in 16 bits.
+  if (settings.iterates() || !out.keeps_vectors || rows > 0xFFFF) return out;
+  std::vector<matrix::ElementRows> tetrahedra;
+  for (std::size_t g = 0; g < groups.size(); ++g) {
+    const ElementGroup& group = groups[g];
+    if (!group.checks_volume || group.shape != physics::index_of<physics::LinearTetrahedron>(physics::Shapes{}))
+      continue;
+    out.checked_groups.push_back(g);
+    tetrahedra.push_back(rows_of(group));
+  }
+  if (!tetrahedra.empty()) out.checked = matrix::share_out_tetrahedra(layout, tetrahedra);
+  return out;
+}
+
+}  // namespace tensormass::model
