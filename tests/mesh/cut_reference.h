@@ -102,7 +102,7 @@ struct ReferenceTetrahedron {
 /// Which copies of nodes are one, over a whole mesh at once. A copy is an element and the lowest corner of a part.
 class ReferenceClasses {
  public:
-  /// is_cut(low node, high node, crossing of a mid-edge node's owner) says whether an edge is cut, and where.
+  ///   is_cut(low node, high node)   returns whether the edge between two nodes is cut; called once for each element
   template <class IsCut>
   ReferenceClasses(const Mesh& mesh, IsCut&& is_cut) {
     struct Side {

@@ -128,6 +128,19 @@ TEST_P(CutOf, InAPlaneOfNodesPutsThemOnOneSide) {
   expect_sound();
 }
 
+TEST_P(CutOf, SlipsBetweenNoTwoSweeps) {
+  // Each second sweep ends exactly along a row of nodes and edges, in the plane of nodes.
+  scene_.move(wide_blade(-0.5, 0.5), wide_blade(1.5, 0.5));
+  std::vector<bool> fast;
+  for (std::uint32_t edge = 0; edge < scene_.topology.edge_count(); ++edge) fast.push_back(scene_.cut.is_cut(edge));
+  scene_.cut.reset();
+  for (int i = 0; i < 16; ++i) scene_.move(wide_blade(-0.5 + i / 8.0, 0.5), wide_blade(-0.375 + i / 8.0, 0.5));
+  EXPECT_EQ(pieces().size(), 2u);
+  for (std::uint32_t edge = 0; edge < scene_.topology.edge_count(); ++edge) {
+    EXPECT_EQ(scene_.cut.is_cut(edge), fast[edge]) << edge;
+  }
+}
+
 TEST_P(CutOf, InADiagonalPlaneOfNodesMakesTwoPieces) {
   const Blade before{{-0.5, 1.5, -0.5}, {-0.5, 1.5, 1.5}}, after{{1.5, -0.5, -0.5}, {1.5, -0.5, 1.5}};
   scene_.move(before, after);
