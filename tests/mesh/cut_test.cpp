@@ -141,6 +141,17 @@ TEST_P(CutOf, SlipsBetweenNoTwoSweeps) {
   }
 }
 
+TEST_P(CutOf, InAWallOfTheSearchsCellsMakesTwoPieces) {
+  // The search sorts edges into cells of this many lattice steps, and skips cells beside the blade's plane.
+  const double per_side = std::cbrt(static_cast<double>(scene_.topology.edge_count()));
+  const double cell = std::floor(static_cast<double>(kLatticeSteps) / per_side) / static_cast<double>(kLatticeSteps);
+  for (double z = cell; z < 1.0; z += cell) {
+    scene_.move(wide_blade(-0.5, z), wide_blade(1.5, z));
+    EXPECT_EQ(pieces().size(), 2u) << z;
+    scene_.cut.reset();
+  }
+}
+
 TEST_P(CutOf, InADiagonalPlaneOfNodesMakesTwoPieces) {
   const Blade before{{-0.5, 1.5, -0.5}, {-0.5, 1.5, 1.5}}, after{{1.5, -0.5, -0.5}, {1.5, -0.5, 1.5}};
   scene_.move(before, after);
