@@ -95,7 +95,7 @@ def test_a_press_on_ridges_has_an_equilibrium(server: tm.Server, friction: float
     for depth_m in (0.002, 0.004):
         scene, held = crossed(yaw=1.0, upper_on_a_ridge=True, gap_m=0.0, cells=(4, 5))
         scene.message.ClearField("gravity_m_per_s2")
-        scene.add_body_contact("upper", "lower0", friction_coefficient=friction)
+        scene.add_body_contact("upper", "lower0", friction_coefficient=friction, distance_m=5e-4)
         top = bar(5, yaw=1.0, on_a_ridge=True, middle_m=(0, 0, 0)).nodes[:, 2] > 1e-9
         scene.prescribe("upper", [0, 0, -depth_m], top)
         scene.set_solver(precision="double", integrator="quasi_static", cg_tolerance=1e-10, cg_max_iterations=5000)
