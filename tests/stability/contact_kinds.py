@@ -10,7 +10,6 @@ Each row compares one number with what mechanics says, whatever the law and the 
     slides     a block drawn by 1.67 times Coulomb's limit for a second: the way of a rigid block
     held       a tool pressed 1 mm into a block on a held base: nothing moves, and the base carries what it reports
     tray       a cube falls by 10 cm on a box of 5 or 20 mm: it stays on it
-    crosses    a bar falls by 1 cm on the ridge of another that it crosses, far from their nodes: the ridge carries it
 
 A row that is not within its bound is printed as `off`; a table of the worst row of each situation and shape follows.
 --document writes that table into docs/decisions/contact.md.
@@ -23,7 +22,7 @@ import itertools
 import multiprocessing
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -49,8 +48,6 @@ SCHEMES: dict[str, tuple[Literal["implicit_euler", "bdf2", "implicit_midpoint"],
 }
 RATES_HZ = (60, 1000)
 TABLES = ("plane", "box", "mesh")
-#: How a bar falls, and its turn about its axis [rad].
-BARS = {"bar on its ridge": np.pi / 4, "bar on its side": 0.0}
 FRICTION, PULL = 0.3, 1.67
 #: Turns the z axis of a tool along x.
 ALONG_X = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
@@ -101,8 +98,6 @@ def cases() -> Iterator[Case]:
         yield Case("held", tool, *way)
     for thickness_mm, way in itertools.product((5, 20), ways):
         yield Case("tray", f"box of {thickness_mm} mm", *way)
-    for bar, way in itertools.product(BARS, itertools.product(("penalty",), SCHEMES, RATES_HZ)):
-        yield Case("crosses", bar, *way)
 
 
 def _stepped(scene: tm.Scene, case: Case) -> tm.Scene:
@@ -255,46 +250,7 @@ def _tray(server: tm.Server, case: Case) -> Iterator[tuple[str, float, float]]:
     yield "m below the tray's surface", max(-lowest_m, 0.0), 0.005
 
 
-def _bar(turn: float, yaw: float, middle_z_m: float) -> tm.VolumeMesh:
-    """A bar of 10 × 2 × 2 cm along x, turned about its axis and then about z."""
-    size = (0.1, 0.02, 0.02)
-    mesh = tm.grid([3, 1, 1], list(size), origin_m=[-s / 2 for s in size], shape="hexahedron")
-    x, y, z = mesh.nodes.T
-    y, z = np.cos(turn) * y - np.sin(turn) * z, np.sin(turn) * y + np.cos(turn) * z
-    x, y = np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y
-    return replace(mesh, nodes=np.stack([x, y, z + middle_z_m], axis=1))
-
-
-def _crosses(server: tm.Server, case: Case) -> Iterator[tuple[str, float, float]]:
-    fall_m, half_m, weight_n = 0.01, 0.01 * np.sqrt(2), 1000 * 4e-5 * G_M_PER_S2
-    scene = tm.Scene("crosses")
-    numbers: dict[str, Any] = {"young_modulus_pa": 1e5, "poisson_ratio": 0.3, "density_kg_per_m3": 1000}
-    lower = _bar(np.pi / 4, 0.0, -half_m)
-    held = lower.nodes[:, 2] < -half_m + 1e-9
-    scene.add_body("lower", lower, law="stable_neo_hookean", **numbers, fixed_nodes=held)
-    upper = _bar(BARS[case.shape], 1.3, fall_m + (half_m if BARS[case.shape] else 0.01))
-    scene.add_body("upper", upper, law="stable_neo_hookean", **numbers)
-    scene.fix("upper", np.ones(len(upper.nodes), bool), axes="xy")  # it would roll off
-    scene.message.gravity_m_per_s2.z = -G_M_PER_S2
-    for body in scene.message.bodies:
-        body.rayleigh_stiffness_s = 0.005
-        body.rayleigh_mass_per_s = 2
-    scene.add_body_contact("upper", "lower")
-    height, load = [], []
-    with server.load(_stepped(scene, case), lockstep=True) as handle:
-        for step in range(3 * case.rate_hz):
-            handle.step()
-            height.append(handle.positions("upper")[:, 2].mean() - upper.nodes[:, 2].mean() + fall_m)
-            if step >= 3 * case.rate_hz - 60:
-                load.append(handle.fields("lower", ["reaction_force"])["reaction_force"][held, 2].sum() - weight_n)
-    lowest = int(np.argmin(height))
-    yield "height of the rebound in falls", max(max(height[lowest:]), 0.0) / fall_m, 1.0
-    yield "load off its weight", abs(np.mean(load) / weight_n - 1), 0.01
-    yield "range of the load in weights", float(np.ptp(load)) / weight_n, 0.01
-
-
 _RUNS = {
-    "crosses": _crosses,
     "rests": _rests,
     "drops": _drops,
     "rebounds": _rebounds,
