@@ -305,7 +305,7 @@ TEST(CpuTeams, AgreeAndRepeat) {
 /// Edges of one thread's bar touch those of another's.
 TEST(CpuTeams, AgreeOnCrossedRidges) {
   tests::Ridges ridges;
-  ridges.lower_cells = ridges.upper_cells = 11;
+  ridges.lower_cells = ridges.upper_cells = 131;  // 1,056 nodes: two patches
   ridges.gap_m = 0.002;
   ridges.friction = 0.3;
   ridges.dt_s = 0.005;
