@@ -18,6 +18,7 @@ from tensormass._shared.errors import NotFoundError
 from tensormass._shared.processes import ChildProcess, find_program
 from tensormass_tools import load_arguments, load_test
 from tensormass_tools.cli import main
+from tensormass_tools.keys.folder import KeyFolder
 
 # A small beam under a probe: the test is of the clients, not of the solver.
 SCENE = """
@@ -141,6 +142,21 @@ def test_a_failed_set_up_is_one_line(server: tm.Server, capsys: pytest.CaptureFi
     assert capsys.readouterr().err.startswith("tensormass: no-such-scene.yaml: no such file")
     assert main([*command, "--json", "-"]) == 1
     assert json.loads(capsys.readouterr().out)["kind"] == "NotFoundError"
+
+
+def test_poses_and_forces_cross_zenoh_with_keys(haptic_program: Path, scene_file: Path, tmp_path: Path) -> None:
+    """Four hands send while they receive. The published TLS link of zenoh ended one of them, or the daemon, by SIGSEGV."""
+    folder = KeyFolder(tmp_path / "keys")
+    folder.init([], days=1)
+    folder.add("operator", "operator")
+    client = folder.client_file("operator")
+    scene_file.write_text(SCENE.replace("dt_s: 0.004", "dt_s: 0.001"))
+    with tm.launch(backend="cpu", options=["--keys", str(folder.path)], keys=client) as server:
+        options = ("--server", server.address, "--keys", client, "--transport", "zenoh", "--haptic", 4, "--viewers", 0)
+        report = load_test.load_test(arguments(*options, "--seconds", 4, "--scene", scene_file))
+        assert not [error for error in report["errors"] if "status -" in error], report["errors"]
+        assert all(client["feedback_received"] > 100 for client in report["haptic"])
+        server.version()
 
 
 @pytest.mark.parametrize(
