@@ -314,8 +314,8 @@ TEST(CpuTeams, AgreeOnCrossedRidges) {
   scene.mutable_bodies()->SwapElements(0, 1);
   const auto one = backend::make_cpu_backend(1), three = backend::make_cpu_backend(3);
   const Trajectory rest = run(*one, scene, 0, false);
-  const Trajectory single = run(*one, scene, 100, false), team = run(*three, scene, 100, false),
-                   again = run(*three, scene, 100, false);
+  const Trajectory single = run(*one, scene, 40, false), team = run(*three, scene, 40, false),
+                   again = run(*three, scene, 40, false);
   EXPECT_GT(team.patches, 1u) << "the test needs several patches";
   EXPECT_EQ(team.positions, again.positions);
   EXPECT_LT(relative_difference(single.positions, team.positions, rest.positions), 1e-10);

@@ -145,7 +145,7 @@ def test_a_failed_set_up_is_one_line(server: tm.Server, capsys: pytest.CaptureFi
 
 
 def test_poses_and_forces_cross_zenoh_with_keys(haptic_program: Path, scene_file: Path, tmp_path: Path) -> None:
-    """Four hands send while they receive. The published TLS link of zenoh ended one of them, or the daemon, by SIGSEGV."""
+    """Four hands send while they receive. zenoh's published TLS link ended one of them, or the daemon, by SIGSEGV."""
     folder = KeyFolder(tmp_path / "keys")
     folder.init([], days=1)
     folder.add("operator", "operator")
