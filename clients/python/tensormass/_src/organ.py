@@ -69,7 +69,7 @@ class Organ:
     cell_m: float
     #: Edge of a cell from which the skin is made [m].
     skin_cell_m: float
-    #: Place where a graded volume has smaller cells; None: there is none.
+    #: Place where a graded volume has smaller cells; None: no such place.
     focus: Focus | None = None
 
     def volume(self, *, graded: bool) -> VolumeMesh:
