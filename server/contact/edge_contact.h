@@ -19,7 +19,7 @@
 ///
 ///   k = penalty · √(A A') · share       A, A': a third of the triangles at each edge;  share: 0 to 1, below
 ///
-/// 1. Only edges at which the surface turns by more than kSharpTurn are convex and sharp (model/sharp_edges.h). A
+/// 1. Only edges at which the surface turns by more than 45° and that are convex count (model/ties.cpp). A
 ///    smooth surface has none, and its scene pays nothing.
 /// 2. Each pair counts once: the edges of the body with the finer mesh search those of the other, in the boxes that
 ///    nodes search. An edge touches at most kEdgeSlots others.

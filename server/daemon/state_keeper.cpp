@@ -100,7 +100,7 @@ void StateKeeper::take_last(std::chrono::milliseconds at_most) {
 
 void StateKeeper::follow(const control::RunnerPtr& runner) { start(runner, add(*runner)); }
 
-/// Writes the scene. Returns 0 if it could not be written, or there is none to write.
+/// Writes the scene. Returns 0 if it keeps no message to write, or the store refused it.
 StateStore::Ticket StateKeeper::add(const world::Runner& runner) {
   if (runner.source() == nullptr) return 0;
   const auto added = store_->add(*runner.source());

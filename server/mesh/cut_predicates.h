@@ -35,8 +35,8 @@ class Lattice {
   /// The box of the given points [m]. Needs at least one.
   explicit Lattice(std::span<const Eigen::Vector3d> points);
 
-  /// Returns the lattice point nearest to a position [m]. There is none for a coordinate that is not a number or is
-  /// beyond kMaxLatticeCoordinate.
+  /// Returns the lattice point nearest to a position [m]; nothing if a coordinate is not a number or lies beyond
+  /// kMaxLatticeCoordinate.
   std::optional<std::array<std::int64_t, 3>> at(const Eigen::Vector3d& position_m) const;
 
  private:

@@ -62,8 +62,8 @@ class LoopOutputs {
 
   // -- the publisher's thread -----------------------------------------------------------------------------------------
 
-  /// Takes the newest frame; false if there is none since the last call. Its topology is that of its step, also if the
-  /// world has another one by now.
+  /// Takes the newest frame; false if no step has made one since the last call. The frame has the topology version of
+  /// its step, also if the world has a newer topology by now.
   bool take_frame(v1::Frame& frame);
   /// Takes the newest feedback of all tools; false if there is none since the last call.
   bool take_feedback(std::vector<v1::ToolFeedback>& feedback);

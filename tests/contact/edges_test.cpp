@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "support/backends.h"
+#include "support/momentum.h"
 #include "support/ridges.h"
 #include "support/staged_scene.h"
 
@@ -17,6 +18,7 @@ namespace tensormass::contact {
 namespace {
 
 using tests::crossed_ridges;
+using tests::momentum_of;
 using tests::Ridges;
 using tests::StagedScene;
 
@@ -31,17 +33,6 @@ double rise_m(world::World& world, std::size_t body) {
     sum += x[3 * node + 1] - m.rest[4 * std::size_t{m.layout.row_of_node[m.bodies[body].node_begin + node]} + 1];
   }
   return sum / m.bodies[body].node_count;
-}
-
-/// Returns the momentum of all bodies [kg m/s].
-Vec3<double> momentum_of(world::World& world) {
-  const model::Model& m = world.model();
-  const std::vector<double> v = world.state().velocity;
-  Vec3<double> sum = Vec3<double>::Zero();
-  for (std::size_t row = 0; row < m.layout.row_count; ++row) {
-    sum += m.row_mass[row] * Vec3<double>(v[4 * row], v[4 * row + 1], v[4 * row + 2]);
-  }
-  return sum;
 }
 
 /// Sets the velocity with which a body starts.

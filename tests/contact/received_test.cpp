@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "support/backends.h"
+#include "support/momentum.h"
 #include "support/scenes.h"
 #include "support/solids.h"
 #include "support/tools.h"
@@ -78,18 +79,6 @@ v1::Scene block_under(const std::string& kind, const Scheme& scheme, v1::Contact
   return scene;
 }
 
-/// Returns the momentum of the first body [kg m/s].
-Vec3<double> momentum(world::World& world) {
-  const model::Model& m = world.model();
-  const std::vector<double> v = world.state().velocity;
-  Vec3<double> sum = Vec3<double>::Zero();
-  for (std::uint32_t node = 0; node < m.bodies[0].node_count; ++node) {
-    const std::size_t row = m.layout.row_of_node[node];
-    sum += m.row_mass[row] * Vec3<double>(v[4 * row], v[4 * row + 1], v[4 * row + 2]);
-  }
-  return sum;
-}
-
 /// Impulses of a script [N s]: what the tool reports, what is missing in it, and the size of all steps' impulses.
 struct Impulses {
   Vec3<double> missing = Vec3<double>::Zero();
@@ -104,13 +93,13 @@ Impulses push(world::World& world, const Scheme& scheme) {
   const bool is_bdf2 = scheme.integrator == v1::Solver::INTEGRATOR_BDF2;
   const bool keeps_force = world.model().tools[0].keeps_force;
   physics::Pose pose = world.model().tools[0].initial_pose;
-  Vec3<double> before = momentum(world), last = before, felt = Vec3<double>::Zero();
+  Vec3<double> before = tests::momentum_of(world), last = before, felt = Vec3<double>::Zero();
   bool starts_anew = true;  // by implicit Euler: the first step, and one after a jump of the force
   for (int i = 0; i < kSteps; ++i) {
     if (i < kSteps / 2) pose.position_m += Vec3<double>(0.15e-3, -0.3e-3, 0.1e-3);
     world.set_tool_target(0, pose);
     EXPECT_TRUE(world.step(false)) << "step " << i;
-    const Vec3<double> now = momentum(world), on_tissue = -world.readings()[0].force_n;
+    const Vec3<double> now = tests::momentum_of(world), on_tissue = -world.readings()[0].force_n;
     // BDF2: M (3 v' − 4 v + v₋₁) / (2 dt) = F. With kept forces it makes steps of implicit Euler in contact.
     const bool by_euler = starts_anew || (keeps_force && !(felt.isZero(0) && on_tissue.isZero(0)));
     const Vec3<double> received = is_bdf2 && !by_euler ? Vec3<double>((3 * now - 4 * before + last) / 2) : now - before;

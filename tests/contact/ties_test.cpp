@@ -10,11 +10,14 @@
 #include "mesh/grid.h"
 #include "support/backends.h"
 #include "support/dense_system.h"
+#include "support/momentum.h"
 #include "support/staged_scene.h"
 
 /// Bodies that touch each other and bodies that are attached to each other, against mechanics.
 namespace tensormass::contact {
 namespace {
+
+using tests::momentum_of;
 
 constexpr double kYoungPa = 5e3, kSizeM = 0.1;
 
@@ -75,17 +78,6 @@ Vec3<double> mean_of_layer(world::World& world, std::size_t body, double height_
   return sum / count;
 }
 
-/// Returns the momentum of all bodies [kg m/s].
-Vec3<double> momentum(world::World& world) {
-  const model::Model& m = world.model();
-  const std::vector<double> v = world.state().velocity;
-  Vec3<double> sum = Vec3<double>::Zero();
-  for (std::size_t row = 0; row < m.layout.row_count; ++row) {
-    sum += m.row_mass[row] * Vec3<double>(v[4 * row], v[4 * row + 1], v[4 * row + 2]);
-  }
-  return sum;
-}
-
 class Bodies : public tests::OnBackend {};
 
 /// Two equal blocks, one on the other, pressed together by 20 % of their height. Their meshes do not match. Friction
@@ -128,13 +120,13 @@ TEST_P(Bodies, KeepTheirMomentumWhenTheyCollide) {
       std::string(reinterpret_cast<const char*>(velocity.data()), velocity.size() * sizeof(double)));
   let_touch(scene, "target", "bullet", 0.001);
   const auto world = start(scene);
-  const Vec3<double> before = momentum(*world);
+  const Vec3<double> before = momentum_of(*world);
   ASSERT_NEAR(before[1], -kSpeed, 1e-9);  // a kilogram
   std::uint32_t touching = 0;
   for (int i = 0; i < 200; ++i) {
     ASSERT_TRUE(world->step(false));
     touching = std::max(touching, world->last().touching_nodes);
-    EXPECT_LT((momentum(*world) - before).norm(), 1e-6 * before.norm()) << "step " << i;
+    EXPECT_LT((momentum_of(*world) - before).norm(), 1e-6 * before.norm()) << "step " << i;
   }
   EXPECT_GT(touching, 5u);
   const double gap = mean_of_layer(*world, 1, kSizeM + 0.004)[1] - mean_of_layer(*world, 0, kSizeM)[1];
@@ -185,9 +177,9 @@ TEST_P(Bodies, StickAndSlideByCoulombsLaw) {
     tests::set(*scene.mutable_gravity_m_per_s2(), kGravity * std::sin(kTilt), -kGravity * std::cos(kTilt), 0);
     const auto world = start(scene);
     for (int i = 0; i < 200; ++i) ASSERT_TRUE(world->step(false));
-    const double before = mean_of_layer(*world, 1, 0.05)[0], speed = momentum(*world)[0] / 0.125;
+    const double before = mean_of_layer(*world, 1, 0.05)[0], speed = momentum_of(*world)[0] / 0.125;
     for (int i = 0; i < 50; ++i) ASSERT_TRUE(world->step(false));
-    const double moved = mean_of_layer(*world, 1, 0.05)[0] - before, gained = momentum(*world)[0] / 0.125 - speed;
+    const double moved = mean_of_layer(*world, 1, 0.05)[0] - before, gained = momentum_of(*world)[0] / 0.125 - speed;
     if (friction > std::tan(kTilt)) {
       EXPECT_LT(std::abs(moved), 1e-6);
     } else {

@@ -8,17 +8,9 @@ import {
   type Diagnosis,
 } from "../src/stream/connection";
 import { FakeSocket } from "./fake_socket";
+import { DAEMON_TEXT } from "./messages";
 
-const DAEMON = JSON.stringify({
-  type: "daemon",
-  problem: "",
-  server: "s",
-  version: "1",
-  backend: "cpu",
-  device: "d",
-  poses_allowed: true,
-  scenes: ["liver"],
-});
+const DAEMON = JSON.stringify(DAEMON_TEXT);
 
 describe("Connection", () => {
   const events = {

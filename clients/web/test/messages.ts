@@ -18,6 +18,18 @@ export const DAEMON = create(DaemonStateSchema, {
   scenes: ["liver"],
 });
 
+/** A gateway's text about a daemon, as an object. */
+export const DAEMON_TEXT = {
+  type: "daemon",
+  problem: "",
+  server: "s",
+  version: "1",
+  backend: "cpu",
+  device: "d",
+  poses_allowed: true,
+  scenes: ["liver"],
+};
+
 /** Fields of a message to set. */
 export type Fields<Schema extends DescMessage> = Exclude<MessageInitShape<Schema>, Message>;
 

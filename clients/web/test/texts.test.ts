@@ -3,17 +3,7 @@ import { describe, expect, it } from "vitest";
 
 import { DaemonStateSchema, PlayHeadSchema } from "../src/generated/tensormass/v1/gateway_pb";
 import { parseText, writeText, type Sent } from "../src/stream/texts";
-
-const DAEMON = {
-  type: "daemon",
-  problem: "",
-  server: "s",
-  version: "1",
-  backend: "cpu",
-  device: "d",
-  poses_allowed: true,
-  scenes: ["liver"],
-};
+import { DAEMON_TEXT } from "./messages";
 
 const parsed = (message: object) => parseText(JSON.stringify(message));
 
@@ -21,10 +11,10 @@ describe("parseText", () => {
   it("reads a daemon, and nothing more into one that says less", () => {
     const state = { problem: "", server: "s", version: "1", backend: "cpu", device: "d", posesAllowed: true, scenes: ["liver"] };
     const value = create(DaemonStateSchema, state);
-    expect(parsed(DAEMON)).toEqual({ case: "daemon", value });
+    expect(parsed(DAEMON_TEXT)).toEqual({ case: "daemon", value });
     expect(value).toMatchObject({ operator: false, builtinScenes: [], fieldScenes: [] });
     expect(value.recording).toBeUndefined();
-    expect(parsed({ ...DAEMON, poses_allowed: undefined })).toMatchObject({ value: { posesAllowed: false } });
+    expect(parsed({ ...DAEMON_TEXT, poses_allowed: undefined })).toMatchObject({ value: { posesAllowed: false } });
   });
 
   it("reads a clock", () => {
@@ -35,7 +25,7 @@ describe("parseText", () => {
   it("reads a recording and its play head", () => {
     const marks = [{ time_s: 1.5, kind: "contact", text: "probe touches." }];
     const recording = { file: "a.mcap", duration_s: 12.5, frames: 700, marks, note: "" };
-    expect(parsed({ ...DAEMON, recording })).toMatchObject({
+    expect(parsed({ ...DAEMON_TEXT, recording })).toMatchObject({
       value: {
         recording: { file: "a.mcap", durationS: 12.5, frames: 700, marks: [{ timeS: 1.5, kind: "contact" }], note: "" },
       },
@@ -55,7 +45,7 @@ describe("parseText", () => {
 
   it("passes over fields that it does not know, also within others", () => {
     const recording = { file: "a.mcap", chapters: ["one"] };
-    expect(parsed({ ...DAEMON, mood: "good", recording })).toMatchObject({ value: { recording: { file: "a.mcap" } } });
+    expect(parsed({ ...DAEMON_TEXT, mood: "good", recording })).toMatchObject({ value: { recording: { file: "a.mcap" } } });
     const findings = [{ code: "FINDING_CODE_OF_TOMORROW", message: "it rains" }];
     expect(parsed({ type: "result", id: 1, findings })).toMatchObject({ value: { findings: [{ message: "it rains" }] } });
   });
