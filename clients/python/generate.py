@@ -6,7 +6,7 @@ writes are right as they stand. Runs in well under a second when nothing changed
 
 from __future__ import annotations
 
-import importlib
+import subprocess
 import sys
 from pathlib import Path
 
@@ -22,12 +22,12 @@ def main() -> int:
     if marker.exists() and marker.stat().st_mtime >= newest_input:
         return 0
 
-    protoc = importlib.import_module("grpc_tools.protoc")  # here, so that an up-to-date tree needs no compiler
-
     OUTPUT.mkdir(exist_ok=True)
-    code = protoc.main(
+    # As a program, grpc_tools.protoc adds the folder of google/protobuf/*.proto. Without it protoc looks beside the
+    # interpreter, where only Debian's own Python has them.
+    code = subprocess.call(
         [
-            "protoc",
+            *(sys.executable, "-m", "grpc_tools.protoc"),
             f"--proto_path={PROTO_ROOT}",
             f"--python_out={HERE}",
             f"--pyi_out={HERE}",
@@ -47,7 +47,7 @@ def main() -> int:
         ):  # without services, so the stubs have no content
             (OUTPUT / f"{name}_pb2_grpc.py").unlink(missing_ok=True)
         marker.write_text('"""The protocol, generated from proto/tensormass/v1 by generate.py."""\n')
-    return int(code)
+    return code
 
 
 if __name__ == "__main__":

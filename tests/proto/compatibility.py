@@ -11,8 +11,8 @@ must leave both reserved. Additions are always allowed.
 from __future__ import annotations
 
 import argparse
-import importlib
 import re
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -38,12 +38,11 @@ class SchemaError(Exception):
 
 def compiled(folder: Path) -> FileDescriptorSet:
     """The descriptors of every .proto file below a folder."""
-    protoc = importlib.import_module("grpc_tools.protoc")
-
     files = sorted(map(str, folder.rglob("*.proto")))
     with tempfile.TemporaryDirectory() as output:
         target = Path(output) / "schema"
-        if not files or protoc.main(["protoc", f"--proto_path={folder}", f"--descriptor_set_out={target}", *files]):
+        protoc = [sys.executable, "-m", "grpc_tools.protoc"]  # as a program it finds google/protobuf/*.proto itself
+        if not files or subprocess.call([*protoc, f"--proto_path={folder}", f"--descriptor_set_out={target}", *files]):
             raise SchemaError(f"{folder} does not compile")
         return FileDescriptorSet.FromString(target.read_bytes())
 
