@@ -15,7 +15,16 @@ export PATH=$PWD/.venv/bin:$PATH
 export no_proxy=${no_proxy:+$no_proxy,}127.0.0.1,localhost,::1
 
 run_lint() { tests/lint.sh; }
-run_ctest() { ctest --test-dir "$build" -j "$jobs" --output-on-failure --no-tests=error; }
+# The few that failed run again, once and one by one. ctest leaves their names in a file.
+run_ctest() {
+  local left=$build/Testing/Temporary
+  rm -f "$left/LastTestsFailed.log"
+  ctest --test-dir "$build" -j "$jobs" --output-on-failure --no-tests=error && return
+  [[ -f $left/LastTestsFailed.log ]] && (($(wc -l <"$left/LastTestsFailed.log") <= most_run_again)) || return 1
+  cp "$left/LastTest.log" "$logs/ctest-first.log" # the next run writes another
+  echo "$again"
+  ctest --test-dir "$build" --rerun-failed --output-on-failure
+}
 # First side by side, then one by one those that measure time. A worker steals tests from the end of another's list, so
 # that most files are run by one worker, which starts their daemon once. The few that failed run again, once.
 run_pytest() {
@@ -38,12 +47,15 @@ again="==== what failed, again"
 # A log without colours.
 plain() { sed -E 's/\x1b\[[0-9;]*m//g' "$1"; }
 
-# The line with which a runner reports its totals; pytest has two, or three if tests ran again.
+# The line with which a runner reports its totals; ctest has two if tests ran again, pytest then three.
 closing_line() {
   local pattern lines=1
   case $1 in
     lint) pattern='^lint: ' ;;
-    ctest) pattern='tests passed.* out of' ;;
+    ctest)
+      pattern='tests passed.* out of'
+      lines=2
+      ;;
     pytest)
       pattern='(passed|failed|error|skipped|no tests ran).* in [0-9.]+s'
       lines=3
@@ -58,7 +70,7 @@ skipped() {
   case $1 in
     # ctest itself prints names without reasons. Its log has GoogleTest's reason on the line after "file:line: Skipped".
     ctest) awk '/: Skipped$/ { getline; count[$0]++ } END { for (reason in count) print count[reason] ": " reason }' \
-      "$build/Testing/Temporary/LastTest.log" ;;
+      "$(grep -qx "$again" "$logs/ctest.log" && echo "$logs/ctest-first.log" || echo "$build/Testing/Temporary/LastTest.log")" ;;
     pytest) sed -nE 's/^SKIPPED (.*)/\1/p' "$logs/$1.log" ;;
     *) sed -nE 's/^skipped: (.*)/\1/p' "$logs/$1.log" ;;
   esac
@@ -69,8 +81,8 @@ failures() {
   local log=$logs/$1.log
   case $1 in
     lint) grep -E '(error|Error|FAILED)' "$log" | head -n 5 ;;
-    ctest) sed -nE 's/^[[:space:]]*[0-9]+ - (.*) \((Failed|Timeout|SEGFAULT|Not Run|.*Abort.*|.*xception.*)\).*/\1: \2/p' "$log" ;;
-    pytest) (grep -qx "$again" "$log" && sed "1,/^$again\$/d" "$log" || cat "$log") | grep -E '^(FAILED|ERROR) ' ;;
+    ctest) last_run "$log" | ctest_failures ;;
+    pytest) last_run "$log" | grep -E '^(FAILED|ERROR) ' ;;
     *)
       plain "$log" | awk '/^ *FAIL / { name = $0; next } name != "" && NF { print name ": " $0; name = "" }
         /^page of the test that failed: / { print }'
@@ -78,18 +90,23 @@ failures() {
   esac | cut -c 1-400 | sort -u | head -n 20
 }
 
-# Tests of Python and of the page run again: they share two cores with daemons, or a browser that draws in software.
+# Tests that share two cores with daemons, or with a browser that draws in software, run again.
 passed_again() {
   local log=$logs/$1.log
   case $1 in
-    pytest)
+    ctest | pytest)
       grep -qx "$again" "$log" || return 0
-      comm -23 <(sed "/^$again\$/,\$d" "$log" | failed_names) <(sed "1,/^$again\$/d" "$log" | failed_names)
+      comm -23 <(first_run "$log" | "$1_names") <(last_run "$log" | "$1_names")
       ;;
     *) plain "$log" | grep -E '^ *✓ .*\(retry x[0-9]+\)' | sed -E 's/^ *✓ *//' ;;
   esac
 }
-failed_names() { sed -nE 's/^(FAILED|ERROR) ([^ ]+).*/\2/p' | sort -u; }
+# A log up to the tests that ran again, and from there on; all of it if none did.
+first_run() { sed "/^$again\$/,\$d" "$1"; }
+last_run() { if grep -qx "$again" "$1"; then sed "1,/^$again\$/d" "$1"; else cat "$1"; fi; }
+ctest_failures() { sed -nE 's/^[[:space:]]*[0-9]+ - (.*) \((Failed|Timeout|SEGFAULT|Not Run|.*Abort.*|.*xception.*)\).*/\1: \2/p'; }
+ctest_names() { ctest_failures | sed -E 's/: [^:]*$//' | sort -u; }
+pytest_names() { sed -nE 's/^(FAILED|ERROR) ([^ ]+).*/\2/p' | sort -u; }
 
 suites=("$@")
 ((${#suites[@]} > 0)) || suites=(lint ctest pytest vitest e2e)
