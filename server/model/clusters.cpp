@@ -1,7 +1,6 @@
 #include "model/clusters.h"
 
 #include <algorithm>
-#include <map>
 #include <optional>
 #include <span>
 #include <string_view>
@@ -28,37 +27,55 @@ struct Neighbours {
   mesh::Rows elements_of = mesh::node_elements(mesh);
 };
 
-/// Fills the nodes of a cluster up to eight with those that share the most elements with them: the matrix couples most
-/// of them already. Returns false if there are too few.
-bool fill(std::vector<std::uint32_t>& nodes, const Neighbours& neighbours) {
-  if (nodes.size() == kClusterNodes) return true;
-  std::map<std::uint32_t, std::size_t> shared;  // node -> elements that it shares with the cluster's nodes
-  for (const std::uint32_t node : nodes) {
-    for (const std::uint32_t element : neighbours.elements_of[node]) {
-      for (const std::uint32_t other : neighbours.nodes_of[element]) ++shared[other];
+/// Fills the nodes of clusters up to eight with those that share the most elements with them: the matrix couples most
+/// of them already.
+class ClusterFiller {
+ public:
+  explicit ClusterFiller(const Neighbours& neighbours)
+      : neighbours_(neighbours), shared_(neighbours.mesh.nodes.size(), 0) {}
+
+  /// Returns false if there are too few. The lowest of several equal nodes comes first.
+  bool fill(std::vector<std::uint32_t>& nodes) {
+    if (nodes.size() == kClusterNodes) return true;
+    candidates_.clear();
+    for (const std::uint32_t node : nodes) {
+      for (const std::uint32_t element : neighbours_.elements_of[node]) {
+        for (const std::uint32_t other : neighbours_.nodes_of[element]) {
+          if (shared_[other]++ == 0) candidates_.push_back(other);
+        }
+      }
     }
+    for (const std::uint32_t node : nodes) shared_[node] = 0;
+    while (nodes.size() < kClusterNodes) {
+      const auto best = std::min_element(candidates_.begin(), candidates_.end(), [&](std::uint32_t a, std::uint32_t b) {
+        return shared_[a] != shared_[b] ? shared_[a] > shared_[b] : a < b;
+      });
+      if (best == candidates_.end() || shared_[*best] == 0) break;
+      nodes.push_back(*best);
+      shared_[*best] = 0;
+    }
+    for (const std::uint32_t node : candidates_) shared_[node] = 0;
+    return nodes.size() == kClusterNodes;
   }
-  for (const std::uint32_t node : nodes) shared.erase(node);
-  for (; nodes.size() < kClusterNodes; shared.erase(nodes.back())) {
-    if (shared.empty()) return false;
-    const auto best = std::max_element(shared.begin(), shared.end(),
-                                       [](const auto& a, const auto& b) { return a.second < b.second; });
-    nodes.push_back(best->first);
-  }
-  return true;
-}
+
+ private:
+  const Neighbours& neighbours_;
+  std::vector<std::uint32_t> shared_;  // [node] elements that it shares with the cluster's nodes; 0 between two calls
+  std::vector<std::uint32_t> candidates_;  // nodes that share at least one
+};
 
 /// Makes the cluster of some elements. Returns nothing if the mesh has fewer than eight nodes.
 /// Leaves body and deviatoric_part open. Nodes are numbered in the body.
 template <class Shape>
-std::optional<Cluster> make_cluster(const Neighbours& neighbours, std::span<const std::uint32_t> elements) {
+std::optional<Cluster> make_cluster(const Neighbours& neighbours, ClusterFiller& filler,
+                                    std::span<const std::uint32_t> elements) {
   std::vector<std::uint32_t> nodes;
   for (const std::uint32_t element : elements) {
     for (const std::uint32_t node : neighbours.nodes_of[element]) {
       if (std::find(nodes.begin(), nodes.end(), node) == nodes.end()) nodes.push_back(node);
     }
   }
-  if (!fill(nodes, neighbours)) return std::nullopt;
+  if (!filler.fill(nodes)) return std::nullopt;
   Cluster cluster{};
   cluster.elements.fill(mesh::kNone);
   std::copy(elements.begin(), elements.end(), cluster.elements.begin());
@@ -126,8 +143,9 @@ Clusters make_clusters(std::span<const ReadBody> bodies) {
     });
     if (!forms_clusters) continue;
     const Neighbours neighbours{body.mesh};
+    ClusterFiller filler(neighbours);
     const auto add = [&](auto shape, std::span<const std::uint32_t> elements, double part) {
-      std::optional<Cluster> cluster = make_cluster<typename decltype(shape)::Type>(neighbours, elements);
+      std::optional<Cluster> cluster = make_cluster<typename decltype(shape)::Type>(neighbours, filler, elements);
       if (!cluster) return;
       cluster->body = b;
       cluster->deviatoric_part = part;
