@@ -77,9 +77,12 @@ class Ages:
 
 
 def _memory_mib(pid: int) -> float:
-    """Resident memory, with this process's share of what several map."""
+    """What the process has allocated, with its share of shared memory.
+
+    Without its share of mapped files: that grows when another process ends which maps them too.
+    """
     fields = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:])
-    return int(fields["Pss"].split()[0]) / 1024
+    return sum(int(fields[name].split()[0]) for name in ("Pss_Anon", "Pss_Shmem")) / 1024
 
 
 def _descriptors(pid: int) -> int:
