@@ -31,6 +31,7 @@ Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start
       outputs_(*world_, start.frames_published, start.counts),
       status_(model_, std::move(backend), budget_, inboxes_, outputs_, start.statistics, start.counts),
       clock_(model_.rate_hz),
+      hand_(clock_.period()),
       expiry_(model_.tools.size(), Clock::time_point::max()) {
   status_.take_stamp(outputs_.stamp());
   if (start.paused) {
@@ -54,7 +55,11 @@ Loop::~Loop() {
 
 Result<void> Loop::submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source) {
   TM_ASSERT(tool < inboxes_.size(), "a pose is for a tool of the scene");
-  return inboxes_[tool].submit(model_.tools[tool], pose, source);
+  TM_RETURN_IF_ERROR(inboxes_[tool].submit(model_.tools[tool], pose, source));
+  if (!listens_.load()) return {};
+  { const std::lock_guard lock(mutex_); }  // the loop now waits, or has seen the pose
+  wake_.notify_one();
+  return {};
 }
 
 void Loop::know_clients_of(Loop& other) {
@@ -78,8 +83,8 @@ void Loop::run() {
   clock_.restart(Clock::now());
   while (wait_for_turn()) {
     run_commands();
-    if (!runs() || Clock::now() < clock_.begin()) continue;
     const Clock::time_point begin = Clock::now();
+    if (!runs() || !step_due(begin)) continue;
     if (!step_once(frame_due())) continue;
     const Clock::time_point end = Clock::now();
     status_.take_time(begin, end, clock_.finish(end));
@@ -97,13 +102,33 @@ bool Loop::wait_for_turn() {
   const auto called = [&] { return quit_ || !commands_.empty(); };
   if (runs()) {
     promise_turn(clock_.begin());
-    wake_.wait_until(lock, clock_.begin(), called);
+    const bool has_hand = leading_tool() != kNone;
+    if (!wake_.wait_until(lock, has_hand ? hand_.listen_from(clock_.begin()) : clock_.begin(), called) && has_hand) {
+      listens_.store(true);
+      wake_.wait_until(lock, clock_.begin(), [&] { return called() || hand_came(); });
+      listens_.store(false);
+    }
   } else {
     due_by_.store(kNotDue, std::memory_order_relaxed);
     wake_.wait(lock, called);
   }
   promise_turn(Clock::now());
   return !quit_;
+}
+
+std::size_t Loop::leading_tool() const {
+  const auto in_hand = [](Clock::time_point expiry) { return expiry != Clock::time_point::max(); };
+  const auto first = std::find_if(expiry_.begin(), expiry_.end(), in_hand);
+  return first == expiry_.end() ? kNone : static_cast<std::size_t>(first - expiry_.begin());
+}
+
+bool Loop::hand_came() const {
+  const std::size_t tool = leading_tool();
+  return tool != kNone && hand_.starts(inboxes_[tool].newest_arrival(), clock_.begin());
+}
+
+bool Loop::step_due(Clock::time_point now) const {
+  return now >= clock_.begin() || (now >= hand_.listen_from(clock_.begin()) && hand_came());
 }
 
 void Loop::run_commands() {
@@ -136,6 +161,10 @@ void Loop::take_poses() {
     if (!received.has_joints) received.pose.joint_values = world_->tool_target(i).joint_values;
     world_->set_tool_target(i, received.pose, received.stamp, received.valid_for_s);
     expiry_[i] = expiry_of(received);
+    if (i == leading_tool()) {
+      if (std::exchange(leading_, i) != i) hand_ = HandPhase(clock_.period());
+      hand_.take(received.stamp);
+    }
     if (recording_) recording_->take_pose(i, received);
   }
 }

@@ -21,6 +21,7 @@
 #include "core/assert.h"
 #include "core/result.h"
 #include "tensormass/v1/control.pb.h"
+#include "world/hand_phase.h"
 #include "world/iteration_budget.h"
 #include "world/loop_outputs.h"
 #include "world/loop_status.h"
@@ -157,6 +158,7 @@ class Loop {
 
  private:
   using State = LoopStatus::State;
+  static constexpr std::size_t kNone = std::numeric_limits<std::size_t>::max();
   /// Half of the range: a difference of two times must not overflow.
   static constexpr Clock::rep kNotDue = std::numeric_limits<Clock::rep>::max() / 2;
 
@@ -174,6 +176,11 @@ class Loop {
   bool step_once(bool with_frame, Diagnostics diagnostics = Diagnostics::kIfDue);
   bool make_step(bool with_frame, Diagnostics diagnostics);
   void take_poses();
+  /// The tool whose poses may start steps; kNone: no tool is in a hand.
+  std::size_t leading_tool() const;
+  /// Says whether a pose has come that starts the coming step ahead of its schedule (hand_phase.h).
+  bool hand_came() const;
+  bool step_due(Clock::time_point now) const;
   void expire_poses(Clock::time_point now);
   void measure_pose_ages(Clock::time_point now);
   void record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected);
@@ -206,9 +213,12 @@ class Loop {
   bool quit_ = false;                           // guarded by mutex_
   std::atomic<bool> cancelled_{false};
   std::atomic<Clock::rep> due_by_{kNotDue};
+  std::atomic<bool> listens_{false};  // the loop waits for a pose: wake it
 
   // The loop's own.
   StepClock clock_;
+  HandPhase hand_;
+  std::size_t leading_ = kNone;            // tool whose poses hand_ knows
   std::vector<Clock::time_point> expiry_;  // [tool]: when its newest pose expires by real time; max: it does not
   double frame_phase_ = 0;                 // frames that are due, less than one after each step
   Clock::time_point last_lockstep_frame_{};

@@ -113,6 +113,7 @@ Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose&
       *valid_for_s};
   if (newest_.publish()) superseded_.fetch_add(1, std::memory_order_relaxed);
   received_.fetch_add(1, std::memory_order_relaxed);
+  if (message.has_valid_for_s()) newest_arrival_.store(now.time_since_epoch().count());
   return {};
 }
 

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <mutex>
 #include <string_view>
@@ -44,6 +45,10 @@ class PoseInbox {
   /// For the loop: the newest pose since the last call, else nullptr. Valid until the next call.
   const ReceivedPose* take() { return newest_.take(); }
 
+  /// When the newest pose of a client that says how long its poses are valid arrived; the clock's zero before the
+  /// first.
+  Clock::time_point newest_arrival() const { return Clock::time_point(Clock::duration(newest_arrival_.load())); }
+
   /// Takes over what another inbox of the same tool knows of clients: sequences and claims. Counts start again.
   void go_on_from(PoseInbox& other);
 
@@ -82,6 +87,7 @@ class PoseInbox {
   Claim claim_;
   Claim taken_;  // the claim that the operator ended; renewed by each pose that it sends all the same
   Latest<ReceivedPose> newest_;
+  std::atomic<Clock::rep> newest_arrival_{0};
   std::atomic<std::uint64_t> received_{0}, rejected_{0}, superseded_{0};
 };
 

@@ -32,6 +32,7 @@ class StepClock {
 
   /// Schedules the coming step for `now`, and forgets any backlog.
   void restart(Clock::time_point now) { begin_ = now; }
+  Clock::duration period() const { return period_; }
   /// The time at which the coming step should start.
   Clock::time_point begin() const { return begin_; }
   /// Notes that the coming step ended `now` and schedules the next one. Returns true if it met its deadline.

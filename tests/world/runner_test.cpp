@@ -228,6 +228,23 @@ TEST_P(Running, UsesTheNewestPoseAndNamesItInFeedback) {
   EXPECT_EQ(status.poses_rejected(), 0u);
 }
 
+/// The schedule alone would start a step every 200 s. A script's pose waits for it.
+TEST_P(Running, AHandsPoseStartsTheStepThatWaitsForIt) {
+  const auto runner = load(running_scene(1.0 / 200));
+  ASSERT_TRUE(runner->pause());
+  const std::uint64_t before = runner->status().step();
+  for (std::uint64_t sequence = 1; sequence <= 2; ++sequence) {
+    v1::ToolPose next = pose(0.05, 0.07 + 0.001 * static_cast<double>(sequence), 0.05, sequence);
+    next.set_valid_for_s(10);
+    ASSERT_TRUE(runner->submit_pose("probe", next));
+    if (sequence == 1) {
+      ASSERT_TRUE(runner->resume());  // starts a step at once, which has the first pose
+    }
+    ASSERT_TRUE(eventually([&] { return runner->feedback("probe")->pose_sequence() == sequence; })) << sequence;
+  }
+  EXPECT_EQ(runner->status().step(), before + 2);
+}
+
 TEST_P(Running, RefusesAndCountsBadPoses) {
   const auto runner = load(lockstep_scene());
   ASSERT_TRUE(runner->submit_pose("probe", pose(0.05, 0.08, 0.05, 5)));
