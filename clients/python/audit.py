@@ -62,24 +62,27 @@ def main(arguments: list[str] | None = None) -> int:
 def report(known: dict[str, Any], components: list[Component], today: datetime.date) -> tuple[list[str], bool]:
     """Returns what is known of the components, and whether one of them is vulnerable and not accepted."""
     lines, failed = [], False
+    stale: list[str] = []
     for ecosystem, label in ECOSYSTEMS.items():
         count = sum(component.ecosystem == ecosystem for component in components)
         source = known["sources"].get(label)
         if source is None:
             if count:
                 lines.append(f"audit: {label}: {count} packages were never compared; renew advisories.json (--renew)")
+                stale.append(label)
             continue
         age = (today - datetime.date.fromisoformat(source["date"])).days
         old = f", {age} days old: renew advisories.json (--renew)" if age > MAX_AGE_DAYS else ""
+        if old:
+            stale.append(label)
         lines.append(f"audit: {label}: {count} packages, advisories of {source['date']}{old}; {source['from']}")
     for component, advisory in findings(known["advisories"], components):
         accepted = advisory.get("accepted", "")
         failed |= not accepted
         state = f"accepted: {accepted}" if accepted else "VULNERABLE"
         lines.append(f"audit: {component.name} {component.version}: {state}: https://osv.dev/{advisory['id']}")
-    lines.append(
-        "audit: something pinned is vulnerable; update it, or accept it with a reason" if failed else "audit: done"
-    )
+    done = f"audit: done, but not for {', '.join(stale)}: too old or missing lists" if stale else "audit: done"
+    lines.append("audit: something pinned is vulnerable; update it, or accept it with a reason" if failed else done)
     return lines, failed
 
 

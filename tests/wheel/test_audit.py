@@ -128,6 +128,17 @@ def test_a_vulnerability_fails_until_it_is_accepted_and_lists_say_their_age() ->
     lines, failed = audit.report({"sources": sources, "advisories": [accepted]}, parts, TODAY)
     assert not failed
     assert any("accepted: not compiled" in line for line in lines)
+    assert lines[-1] == "audit: done, but not for PyPI, npm: too old or missing lists"
+    fresh = {label: {"date": "2030-01-30", "from": "here"} for label in ("Rust", "PyPI", "npm")}
+    assert audit.report({"sources": fresh, "advisories": []}, parts, TODAY)[0][-1] == "audit: done"
+
+
+def test_the_list_says_of_each_source_its_day_and_origin() -> None:
+    known = json.loads(audit.ADVISORIES.read_text("utf-8"))
+    for label, source in known["sources"].items():
+        assert set(source) == {"date", "from"}, label
+        assert datetime.date.fromisoformat(source["date"]) <= datetime.date.today(), label
+    assert {advisory["ecosystem"] for advisory in known["advisories"]} <= set(known["sources"])
 
 
 def test_renewing_reads_both_kinds_of_database_and_keeps_what_was_accepted(tmp_path: Path) -> None:
