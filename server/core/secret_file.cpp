@@ -35,6 +35,12 @@ Result<std::string> read_file_of_owner(const std::string& path, mode_t forbidden
                     "chmod o-rwx {}",
                     path));
   }
+  // Whoever owns a file can read and replace it, whatever its mode. Root can anyway; Kubernetes' Secrets are root's.
+  if (found.st_uid != geteuid() && found.st_uid != 0) {
+    return refuse(fmt::format(
+        ": user {} owns it, who is neither the user of this program, {}, nor root; run it as user {}, or: chown {} {}",
+        found.st_uid, geteuid(), found.st_uid, geteuid(), path));
+  }
   std::string text;
   std::array<char, 4096> part;
   while (true) {

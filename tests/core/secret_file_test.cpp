@@ -50,6 +50,37 @@ TEST_F(SecretFileTest, OthersMayNot) {
   EXPECT_NE(error_with(0646, S_IWOTH), "");
 }
 
+TEST_F(SecretFileTest, AnotherUserMayNotOwnIt) {
+  constexpr uid_t kOther = 12345;
+  if (chown(path_.c_str(), kOther, static_cast<gid_t>(-1)) != 0) GTEST_SKIP() << "only root gives files away";
+  const std::string refusal = "--keys: " + path_ +
+                              ": user 12345 owns it, who is neither the user of this program, 0, nor root; run it as "
+                              "user 12345, or: chown 0 " +
+                              path_;
+  EXPECT_EQ(error_with(0600, S_IRWXO), refusal);
+  EXPECT_EQ(error_with(0644, S_IWOTH), refusal) << "who owns the list of clients can change it";
+  ASSERT_EQ(seteuid(kOther), 0);
+  const std::string as_owner = error_with(0600, S_IRWXO);
+  ASSERT_EQ(seteuid(0), 0);
+  EXPECT_EQ(as_owner, "");
+}
+
+TEST_F(SecretFileTest, RootMayOwnIt) {
+  // As Kubernetes mounts a Secret with defaultMode 0440 and an fsGroup.
+  constexpr uid_t kOther = 12345;
+  constexpr gid_t kGroup = 54321;
+  if (geteuid() != 0 || chown(path_.c_str(), 0, kGroup) != 0) GTEST_SKIP() << "only root gives files away";
+  chmod(path_.c_str(), 0440);
+  const gid_t own_group = getegid();
+  ASSERT_EQ(setegid(kGroup), 0);
+  ASSERT_EQ(seteuid(kOther), 0);
+  const auto text = read_file_of_owner(path_, S_IRWXO, "--keys: ", "make another");
+  ASSERT_EQ(seteuid(0), 0);
+  ASSERT_EQ(setegid(own_group), 0);
+  ASSERT_TRUE(text) << text.error().message;
+  EXPECT_EQ(*text, content_);
+}
+
 TEST_F(SecretFileTest, WhatIsNotAFileIsRefusedAtOnce) {
   std::filesystem::remove(path_);
   EXPECT_EQ(error_with(0600, S_IRWXO),

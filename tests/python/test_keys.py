@@ -169,6 +169,17 @@ def test_mistakes_in_the_folder_are_named(folder: KeyFolder, tmp_path: Path) -> 
         folder.entries()
 
 
+def test_a_secret_may_be_roots(folder: KeyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Kubernetes mounts it, for a program of another user."""
+    keys = folder.add("alice", "viewer")
+    os.chmod(keys.path, 0o440)
+    found = os.stat(keys.path)
+    of_root = os.stat_result((found.st_mode, *found[1:4], 0, *found[5:]))
+    monkeypatch.setattr(os, "fstat", lambda _: of_root)
+    monkeypatch.setattr(os, "geteuid", lambda: 10001)
+    assert ClientKeys.read(keys.path).id == keys.id
+
+
 def damaged(keys: ClientKeys, **changes: object) -> Path:
     content = json.loads(keys.path.read_text())
     content.update(changes)
@@ -194,6 +205,13 @@ def test_a_client_refuses_files_that_it_cannot_use(folder: KeyFolder, tmp_path: 
     )
     os.chmod(keys.path, 0o640)  # as Kubernetes mounts a Secret
     assert ClientKeys.read(keys.path).id == keys.id
+    if os.geteuid() == 0:  # nobody else gives files away
+        os.chown(keys.path, 12345, -1)
+        assert (
+            f"user 12345 owns it, who is neither the user of this program, 0, nor root; run it as user 12345, or: "
+            f"chown 0 {keys.path}" in refusal(keys.path)
+        )
+        os.chown(keys.path, 0, -1)
     assert "not a client's keys, or damaged" in refusal(damaged(keys, private_key=""))
     assert "not a client's keys, or damaged" in refusal(damaged(keys, private_key=keys.private_key, expires_s="soon"))
     past = int(time.time()) - 10
