@@ -1,10 +1,15 @@
 #include "daemon/state_keeper.h"
 
+#include <atomic>
+#include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <future>
+#include <thread>
 
 #include <gtest/gtest.h>
+#include <spdlog/sinks/base_sink.h>
 
 #include "support/eventually.h"
 #include "support/refused.h"
@@ -216,6 +221,70 @@ TEST_F(StateKeeperTest, TheLastStateOfADaemonThatEndsIsKept) {
   }
   Process process(folder);
   EXPECT_EQ((*process.registry.find("a"))->status().step(), 9u);
+}
+
+/// Holds the first thread that logs a line with `text`, until `let_go`.
+class HoldingLog final : public spdlog::sinks::base_sink<spdlog::details::null_mutex> {
+ public:
+  explicit HoldingLog(std::string text) : text_(std::move(text)) {}
+  void let_go() { free_.set_value(); }
+  std::atomic<bool> holds{false};
+
+ protected:
+  void sink_it_(const spdlog::details::log_msg& line) override {
+    const std::string_view written(line.payload.data(), line.payload.size());
+    if (written.find(text_) != std::string_view::npos && !holds.exchange(true)) free_.get_future().wait();
+  }
+  void flush_() override {}
+
+ private:
+  const std::string text_;
+  std::promise<void> free_;
+};
+
+/// A thread says that it has taken the last state before it has ended. Joining it then, under the lock that it needs to
+/// end, would wait for ever.
+TEST_F(StateKeeperTest, AForgottenSceneWhoseThreadIsNotDoneDelaysNoOther) {
+  const auto open_store = [&](std::uint64_t max_bytes) {
+    auto store = StateStore::open(folder.string(), "1", max_bytes);
+    if (!store) throw std::runtime_error(store.error().message);
+    return std::move(*store);
+  };
+  // Room for the scene, and none for a snapshot: the thread logs that after it took the state.
+  std::uint64_t room = 16;
+  {
+    const auto store = open_store(1 << 30);
+    ASSERT_TRUE(store->add(scene_named("a")));
+    room += fs::file_size(folder / "a.scene");
+    store->remove("a");
+  }
+  const auto log = std::make_shared<HoldingLog>("state is not kept");
+  const auto usual_log = spdlog::default_logger();
+  spdlog::set_default_logger(std::make_shared<spdlog::logger>("held", log));
+
+  control::SceneRegistry registry{{.backend = world::BackendChoice::kCpu, .cpu_threads = 1}, [] {}};
+  const auto other = *registry.load(scene_named("b"));
+  auto keeper = std::make_unique<StateKeeper>(open_store(room), 1h);
+  registry.set_follower(keeper.get());
+  ASSERT_TRUE((*registry.load(scene_named("a")))->step(1));
+  keeper->take_last(60s);
+  ASSERT_TRUE(eventually([&] { return log->holds.load(); }));
+  std::promise<void> went_on;
+  std::thread goes_on([&, keeper = keeper.get()] {
+    keeper->forget("a");
+    keeper->follow(other);
+    went_on.set_value();
+  });
+  const bool waits = went_on.get_future().wait_for(60s) != std::future_status::ready;
+  log->let_go();
+  if (waits) {
+    std::fprintf(stderr, "following a scene waits for the thread of a forgotten one, under the lock that it needs\n");
+    std::_Exit(1);  // neither thread ends any more
+  }
+  goes_on.join();
+  keeper.reset();
+  registry.close();
+  spdlog::set_default_logger(usual_log);
 }
 
 }  // namespace
