@@ -29,8 +29,9 @@ void forward_zenoh_log(LogHandler handler) {
 }  // namespace
 
 Bus::Bus(const BusOptions& options)
-    : input_(options.server, options.on_pose, options.on_malformed, options.keys),
-      failed_handshakes_before_(tensormass_zenoh_failed_handshakes()) {}
+    : input_(options.server, options.on_pose, options.on_malformed, counters_, options.keys),
+      failed_handshakes_before_(tensormass_zenoh_failed_handshakes()),
+      refused_before_(tensormass_zenoh_refused()) {}
 
 Bus::~Bus() = default;
 
@@ -45,7 +46,8 @@ Result<std::unique_ptr<Bus>> Bus::open(const BusOptions& options) {
   std::unique_ptr<Bus> bus(new Bus(options));
   if (!options.zeromq_publish_endpoint.empty()) {
     auto zeromq = ZeroMqTransport::open(
-        {options.server, options.zeromq_publish_endpoint, options.zeromq_pose_endpoint, options.keys}, bus->input_);
+        {options.server, options.zeromq_publish_endpoint, options.zeromq_pose_endpoint, options.keys}, bus->input_,
+        bus->counters_);
     if (!zeromq) return tl::make_unexpected(zeromq.error());
     bus->endpoints_.zeromq_publish = (*zeromq)->publish_endpoint();
     bus->endpoints_.zeromq_pose = (*zeromq)->pose_endpoint();
@@ -53,8 +55,8 @@ Result<std::unique_ptr<Bus>> Bus::open(const BusOptions& options) {
   }
   if (!options.zenoh_listen.empty()) {
     forward_zenoh_log(options.on_log);
-    auto zenoh =
-        ZenohTransport::open({options.server, options.zenoh_listen, options.zenoh_sessions, options.keys}, bus->input_);
+    auto zenoh = ZenohTransport::open({options.server, options.zenoh_listen, options.zenoh_sessions, options.keys},
+                                      bus->input_, bus->counters_);
     if (!zenoh) return tl::make_unexpected(zenoh.error());
     bus->endpoints_.zenoh_locator = (*zenoh)->locator();
     bus->transports_.push_back(std::move(*zenoh));
@@ -76,6 +78,18 @@ bool Bus::keys_changed() {
   bool done = true;
   for (const auto& transport : transports_) done &= transport->keys_changed();
   return done;
+}
+
+BusCounts Bus::counts() const {
+  BusCounts out = counters_.read();
+  const tensormass_zenoh_refusals refused = tensormass_zenoh_refused();
+  const auto add = [&](Refusal refusal, std::uint64_t count) {
+    out.refusals[static_cast<std::size_t>(Carrier::kZenoh)][static_cast<std::size_t>(refusal)] += count;
+  };
+  add(Refusal::kAccess, refused.not_allowed - refused_before_.not_allowed);
+  add(Refusal::kMessageSize, refused.too_large - refused_before_.too_large);
+  add(Refusal::kSubscriptions, refused.too_many_declarations - refused_before_.too_many_declarations);
+  return out;
 }
 
 std::uint64_t Bus::malformed_count() const {

@@ -10,8 +10,10 @@
 #include <google/protobuf/message_lite.h>
 
 #include "access/key_ring.h"
+#include "bus/bus_counts.h"
 #include "bus/pose_input.h"
 #include "bus/transport.h"
+#include "bus/zenoh/tensormass_zenoh.h"
 #include "core/bus_limits.h"
 #include "core/result.h"
 
@@ -78,12 +80,17 @@ class Bus {
   /// Refused messages, plus connections whose peer did not speak the transport's protocol, since this bus was opened.
   /// zenoh counts its failed handshakes per process, so with two buses both count them.
   std::uint64_t malformed_count() const;
+  /// Messages that were dropped and refused since this bus was opened. zenoh counts refusals per process, as failed
+  /// handshakes.
+  BusCounts counts() const;
 
  private:
   explicit Bus(const BusOptions& options);
 
+  BusCounters counters_;
   PoseInput input_;
   std::uint64_t failed_handshakes_before_;
+  tensormass_zenoh_refusals refused_before_;
   Endpoints endpoints_;
   // The last member, so that it is destroyed first: the transports call `input_` until they are gone.
   std::vector<std::unique_ptr<Transport>> transports_;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <functional>
@@ -7,6 +8,8 @@
 #include <string_view>
 
 #include "access/key_ring.h"
+#include "bus/bus_counts.h"
+#include "bus/pose_rate.h"
 #include "tensormass/v1/stream.pb.h"
 
 namespace tensormass::bus {
@@ -17,8 +20,18 @@ using PoseHandler = std::function<void(std::string_view scene, std::string_view 
 /// name a scene of this server in a valid key.
 using MalformedHandler = std::function<void(std::string_view scene, std::string_view reason)>;
 
+/// Who sent a message.
+struct Sender {
+  Carrier carrier = Carrier::kZeroMq;
+  /// The same for all that share a rate: a connection, or with keys all connections of a key.
+  std::uint64_t number = 0;
+  /// Id of the client, if keys say who that is and the transport has not asked the rules yet (ZeroMQ).
+  std::string_view client = {};
+};
+
 /// Parses every message that clients send on the data plane, whatever the transport. Each message becomes exactly one
-/// call: `on_pose` with a pose, or `on_malformed` with a reason, which also adds one to `malformed_count`.
+/// call: `on_pose` with a pose, or `on_malformed` with a reason, which also adds one to `malformed_count`. What a
+/// client sends beyond its rate is dropped unread, and only the first one is told to `on_malformed`.
 ///
 /// PoseInput checks the key, the size and the protobuf. It does not check numbers or names: the scene's pose inbox
 /// refuses a pose that is not finite, and knows which tools exist.
@@ -27,27 +40,31 @@ using MalformedHandler = std::function<void(std::string_view scene, std::string_
 class PoseInput {
  public:
   /// `server`: the <server> that keys must name. keys: say which tool a client may move (access/rules.h); nullptr:
-  /// everybody may move every tool.
-  PoseInput(std::string server, PoseHandler on_pose, MalformedHandler on_malformed,
+  /// everybody may move every tool. counters: count refusals; must outlive this.
+  PoseInput(std::string server, PoseHandler on_pose, MalformedHandler on_malformed, BusCounters& counters,
             const access::KeyRing* keys = nullptr);
 
   /// Parses one message whose transport carries the key separately (zenoh).
-  void receive(std::string_view key, std::string_view payload);
-  /// Parses one message of the form key, zero byte, payload (ZeroMQ). sender: id of the client that sent it, if keys
-  /// say who that is. zenoh asks the same rules before a message comes here.
-  void receive_framed(std::string_view bytes, std::string_view sender = {});
+  void receive(std::string_view key, std::string_view payload, const Sender& sender = {});
+  /// Parses one message of the form key, zero byte, payload (ZeroMQ). zenoh asks the same rules before a message comes
+  /// here.
+  void receive_framed(std::string_view bytes, const Sender& sender = {});
   /// Counts and reports a message that the transport itself could not accept.
   void refuse(std::string_view scene, std::string_view reason);
   /// Messages refused so far.
   std::uint64_t malformed_count() const { return malformed_.load(std::memory_order_relaxed); }
 
  private:
-  bool may_move(std::string_view sender, std::string_view key);
+  bool is_within_rate(const Sender& sender);
+  bool may_move(std::string_view id, std::string_view key);
+  void parse(std::string_view key, std::string_view payload, Carrier carrier);
 
   std::string server_;
   PoseHandler on_pose_;
   MalformedHandler on_malformed_;
+  BusCounters& counters_;
   const access::KeyRing* const keys_;
+  std::array<PoseRate, kCarrierNames.size()> rates_;
   std::atomic<std::uint64_t> malformed_{0};
 };
 

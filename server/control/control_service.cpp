@@ -289,11 +289,19 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
   recording.on_evicted([context] { context->TryCancel(); });
   started->start.set_server_version(identity_.version());
   v1::RecordSceneResponse response;
+  RecordingLosses& losses = registry_.recording_losses();
+  std::uint64_t lost_checks = 0;
+  const auto count_losses = [&] {
+    for (const v1::LostSteps& lost : response.lost()) losses.steps += lost.count();
+    losses.checks += response.lost_checks() - std::exchange(lost_checks, response.lost_checks());
+  };
   *response.mutable_start() = std::move(started->start);
   bool reads = writer->Write(response);
   while (reads && !context->IsCancelled()) {
     const bool ended = recording.closed();
-    if (recording.take(response)) {
+    const bool news = recording.take(response);
+    count_losses();
+    if (news) {
       reads = writer->Write(response);
     } else if (ended) {
       break;
@@ -303,6 +311,13 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
   }
   recording.on_evicted({});
   if (recording.evicted()) {
+    ++losses.recordings;
+    // What waited for the client does not reach it any more.
+    while (recording.take(response)) {
+      count_losses();
+      losses.steps += static_cast<std::uint64_t>(response.steps_size());
+      losses.checks += static_cast<std::uint64_t>(response.checks_size());
+    }
     log::warn("evicted a recording", {{"who", context->peer()},
                                       {"what", "RecordScene"},
                                       {"scene", request->scene()},

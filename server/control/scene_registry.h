@@ -94,6 +94,8 @@ class SceneRegistry {
   /// Refusals of the whole control plane, for metrics.
   Refusals& refusals() { return refusals_; }
   const Refusals& refusals() const { return refusals_; }
+  RecordingLosses& recording_losses() { return recording_losses_; }
+  const RecordingLosses& recording_losses() const { return recording_losses_; }
   const AdmissionLimits& admission_limits() const { return admission_.limits(); }
   /// A number that grows with every load, unload and close. A reader that remembers it knows whether to call `list`.
   std::uint64_t generation() const { return generation_.load(std::memory_order_acquire); }
@@ -110,6 +112,7 @@ class SceneRegistry {
   const std::function<void()> output_signal_;
   SceneFollower* follower_ = nullptr;  // nullptr: nobody is told
   Refusals refusals_;
+  RecordingLosses recording_losses_;
   Admission admission_;
   std::atomic<std::uint64_t> generation_{0};
   mutable std::shared_mutex mutex_;

@@ -6,11 +6,19 @@
 /// Limits of the data plane. A change of them recompiles only what carries messages; limits.h recompiles everything.
 namespace tensormass::limits {
 
-/// Bytes of a client's message over zenoh; a larger one is dropped before it is held, and nothing is counted. zenoh
-/// sends what is smaller in one piece, so a lower limit would bound nothing more.
+/// Poses a second of one client over one transport, a connection or with keys a key. Those beyond it are dropped
+/// unread. A scene with every tool at 1 kHz has 16,000.
+inline constexpr int kMaxPosesPerSecond = 20'000;
+/// Bytes of a client's message over zenoh; a larger one is dropped before it is held. zenoh sends what is smaller in
+/// one piece, so a lower limit would bound nothing more.
 inline constexpr std::uint32_t kMaxZenohMessageBytes = 65'536;
 /// Clients connected over zenoh at once unless `--zenoh-sessions` says otherwise, and the most that it may say.
 inline constexpr std::uint32_t kDefaultZenohSessions = 512, kMaxZenohSessions = 65'536;
+/// Subscriptions, and interests in others' subscriptions, of one zenoh client; a client with more is disconnected. A
+/// scene with every tool has 19 streams.
+inline constexpr std::uint32_t kMaxZenohDeclarations = 256;
+/// The same of all zenoh clients. When one more comes, the client with most is disconnected.
+inline constexpr std::uint32_t kMaxZenohDeclarationsOfAll = 4096;
 /// Subscriptions of one client at the ZeroMQ publish endpoint; a client with more is disconnected. A scene with every
 /// tool has 19 streams.
 inline constexpr std::size_t kMaxSubscriptionsPerPeer = 64;

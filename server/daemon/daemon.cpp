@@ -171,7 +171,7 @@ void Daemon::note_malformed(std::string_view scene, std::string_view reason) {
 std::uint64_t Daemon::malformed_count() const { return bus_->malformed_count() + refused_connections_; }
 
 std::string Daemon::metrics_text() const {
-  return metrics::to_text(metrics::read_metrics(registry_, identity_, malformed_count()));
+  return metrics::to_text(metrics::read_metrics(registry_, identity_, malformed_count(), bus_->counts()));
 }
 
 namespace {

@@ -124,6 +124,17 @@ constexpr SceneFamily kSceneFamilies[] = {
      }},
 };
 
+/// Writes the counts of each transport. names: of the second label's values.
+template <std::size_t kCount>
+void write_by_carrier(Exposition& out, const bus::BusCounts::OfEachCarrier<kCount>& counts, std::string_view label,
+                      const std::array<std::string_view, kCount>& names) {
+  for (std::size_t carrier = 0; carrier < counts.size(); ++carrier) {
+    for (std::size_t i = 0; i < kCount; ++i) {
+      out.sample({{"transport", bus::kCarrierNames[carrier]}, {label, names[i]}}, counts[carrier][i]);
+    }
+  }
+}
+
 /// Buffers of the scenes on the GPU.
 std::uint64_t device_bytes(const DaemonMetrics& metrics) {
   std::uint64_t bytes = 0;
@@ -136,12 +147,14 @@ std::uint64_t device_bytes(const DaemonMetrics& metrics) {
 }  // namespace
 
 DaemonMetrics read_metrics(const control::SceneRegistry& registry, const v1::GetVersionResponse& identity,
-                           std::uint64_t malformed_messages) {
+                           std::uint64_t malformed_messages, const bus::BusCounts& bus) {
   DaemonMetrics out{.identity = identity,
                     .malformed_messages = malformed_messages,
                     .memory_bytes = control::Admission::resident_bytes(),
                     .memory_limit_bytes = registry.admission_limits().all_bytes,
-                    .refusals = &registry.refusals()};
+                    .refusals = &registry.refusals(),
+                    .losses = &registry.recording_losses(),
+                    .bus = bus};
   for (const control::RunnerPtr& runner : registry.list()) out.scenes.push_back(runner->metrics());
   return out;
 }
@@ -168,6 +181,18 @@ std::string to_text(const DaemonMetrics& metrics) {
   out.begin({"tensormass_refusals_total", Type::kCounter, "Calls and connections that were refused, by the limit."});
   for (std::size_t limit = 0; limit < control::kLimitNames.size(); ++limit) {
     out.sample({{"limit", control::kLimitNames[limit]}}, metrics.refusals->of(static_cast<control::Limit>(limit)));
+  }
+  out.begin({"tensormass_bus_full_queues_total", Type::kCounter,
+             "Messages that found the queue to a client full, which loses messages until it reads again."});
+  write_by_carrier(out, metrics.bus.full_queues, "stream", bus::kStreamNames);
+  out.begin({"tensormass_bus_refusals_total", Type::kCounter, "What clients sent and a transport refused."});
+  write_by_carrier(out, metrics.bus.refusals, "reason", bus::kRefusalNames);
+  out.begin({"tensormass_recording_losses_total", Type::kCounter,
+             "Steps and checks that did not reach the client of a recording, and recordings that ended for it."});
+  for (const auto& [what, count] :
+       {std::pair{"steps", read(metrics.losses->steps)}, std::pair{"checks", read(metrics.losses->checks)},
+        std::pair{"recordings", read(metrics.losses->recordings)}}) {
+    out.sample({{"what", what}}, count);
   }
   for (const SceneFamily& each : kSceneFamilies) {
     out.begin(each.family);

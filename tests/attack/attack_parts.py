@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "python"))
 import service_parts
 
 import tensormass as tm
+from tensormass.v1 import control_pb2
 
 DEADLINE_S = service_parts.DEADLINE_S
 MIB = 1 << 20
@@ -84,3 +85,10 @@ def zenoh_session(server: tm.Server, mode: str = "client") -> zenoh.Session:
     }.items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)
+
+
+def count_of(server: tm.Server, family: str, **labels: str) -> float:
+    """Returns a counter of the daemon's metrics."""
+    start = family + "{" + ",".join(f'{label}="{value}"' for label, value in labels.items()) + "} "
+    text = server.call("GetMetrics", control_pb2.GetMetricsRequest()).text
+    return float(next(line.removeprefix(start) for line in text.splitlines() if line.startswith(start)))

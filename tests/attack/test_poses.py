@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import zmq
-from attack_parts import IN_AIR_M, IN_TISSUE_M, attacked, block, wait_for
+from attack_parts import IN_AIR_M, IN_TISSUE_M, attacked, block, count_of, wait_for
 
 import tensormass as tm
 from tensormass.v1 import scene_pb2, stream_pb2
@@ -36,6 +36,11 @@ class Stranger:
         for name, value in self._fields.items():
             setattr(pose, name, value)
         self._socket.send(POSE + pose.SerializeToString())
+
+    def flood(self, count: int) -> None:
+        message = POSE + stream_pb2.ToolPose(position_m=scene_pb2.Vector3()).SerializeToString()
+        for _ in range(count):
+            self._socket.send(message)
 
 
 @pytest.fixture
@@ -152,3 +157,19 @@ def test_a_dead_hand_is_retired_by_real_time(record_property: Callable[[str, obj
         simulated_s = (frame.step - taken) * 5e-4
         record_property("now", f"after {10 * simulated_s:.1f} s, with 1 s for the force to fade")
         assert simulated_s < 0.5
+
+
+@pytest.mark.attack("one client sends poses as fast as it can", "all were parsed, on one thread for all clients")
+def test_a_flood_of_poses_is_cut_to_a_rate(scene: tm.SceneHandle, stranger: Callable[..., Stranger]) -> None:
+    server = tm.connect(scene._connection.address)
+    flooder = stranger(client_id=5)
+
+    def is_cut() -> bool:
+        flooder.flood(20_000)
+        return count_of(server, "tensormass_bus_refusals_total", transport="zeromq", reason="pose_rate") > 0
+
+    wait_for("poses beyond the rate", is_cut)
+    with scene.tool_stream("probe", valid_for_s=FOREVER_S) as hand:
+        hand.send(IN_AIR_M)
+        wait_for("an honest hand", lambda: scene.feedback("probe").client_id == hand.client_id)
+    server.close()

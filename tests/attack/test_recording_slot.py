@@ -144,6 +144,8 @@ def test_scene_of_a_client_that_fell_silent_is_free_again(server: tm.Server) -> 
         another = stub.RecordScene(control_pb2.RecordSceneRequest(scene="windowless"))
         assert next(another).HasField("start")
         another.cancel()
+        metrics = stub.GetMetrics(control_pb2.GetMetricsRequest()).text
+        assert '\ntensormass_recording_losses_total{what="recordings"} 1\n' in metrics
         wait_until(False, stub, "stopped")
         # Nothing came for as long, because the scene stands still; yet this client reads, so the scene stays its own.
         assert is_recorded(stub, "honest")

@@ -6,7 +6,17 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import zenoh
-from attack_parts import DEADLINE_S, IN_AIR_M, MIB, attacked, block, memory_of, restart_high_water_mark, wait_for
+from attack_parts import (
+    DEADLINE_S,
+    IN_AIR_M,
+    MIB,
+    attacked,
+    block,
+    count_of,
+    memory_of,
+    restart_high_water_mark,
+    wait_for,
+)
 from attack_parts import zenoh_session as stranger
 
 import tensormass as tm
@@ -150,3 +160,48 @@ def test_sessions_are_limited() -> None:
         wait_for("a place of a session that left", opens)
         for session in held:
             session.close()
+
+
+@pytest.mark.attack("5,000 subscriptions of one client over zenoh", "kept: +10 MiB, 5 s of CPU")
+def test_subscriptions_are_bounded(server: tm.Server, record_property: Callable[[str, object], None]) -> None:
+    def refused() -> float:
+        return count_of(server, "tensormass_bus_refusals_total", transport="zenoh", reason="subscriptions")
+
+    def take(_: zenoh.Sample) -> None:
+        pass
+
+    with stranger(server) as honest:
+        heard = Heard(honest, f"{SCENE}/**")
+        with stranger(server) as attacker:
+            before, grown = refused(), memory_of(server)
+            held = [
+                attacker.declare_subscriber(
+                    f"tensormass/local/s{i}/frame", zenoh.handlers.Callback(take, indirect=False)
+                )
+                for i in range(5000)
+            ]
+            wait_for("the end of the connection", lambda: refused() > before)
+            record_property("now", f"disconnected, +{(memory_of(server) - grown) / MIB:.1f} MiB")
+            del held
+        heard.keys.clear()
+        wait_for("frames of an honest client", lambda: f"{SCENE}/frame" in heard.keys)
+
+
+@pytest.mark.attack("forged streams and large messages over zenoh are dropped", "and nothing counted them")
+@pytest.mark.parametrize(
+    ("reason", "key", "payload"),
+    [("access", FEEDBACK, b"forged"), ("message_size", POSE, bytes(MIB))],
+    ids=["access", "message_size"],
+)
+def test_what_zenoh_drops_is_counted(server: tm.Server, reason: str, key: str, payload: bytes) -> None:
+    def refused() -> float:
+        return count_of(server, "tensormass_bus_refusals_total", transport="zenoh", reason=reason)
+
+    with stranger(server) as attacker:
+        before = refused()
+
+        def is_counted() -> bool:
+            put(attacker, key, payload)
+            return refused() > before
+
+        wait_for(f"a count of {reason}", is_counted)

@@ -15,9 +15,10 @@ class PoseInputTest : public testing::Test {
  protected:
   std::vector<v1::ToolPose> poses;
   std::vector<std::string> refused_scenes;
+  BusCounters counters;
   PoseInput input{"host",
                   [this](std::string_view, std::string_view, const v1::ToolPose& pose) { poses.push_back(pose); },
-                  [this](std::string_view scene, std::string_view) { refused_scenes.emplace_back(scene); }};
+                  [this](std::string_view scene, std::string_view) { refused_scenes.emplace_back(scene); }, counters};
   const std::string key = pose_key("host", "demo", "probe");
 };
 
@@ -57,6 +58,29 @@ TEST_F(PoseInputTest, RefusesAMalformedMessageAndNamesItsScene) {
   EXPECT_EQ(refused_scenes, (std::vector<std::string>{"demo", "demo", "demo", "demo"}));
   EXPECT_EQ(input.malformed_count(), 7u);
   EXPECT_TRUE(poses.empty());
+}
+
+TEST_F(PoseInputTest, DropsAFloodUnreadAndTellsOfItOnce) {
+  const std::string message = key + '\0' + serialized_pose();
+  const auto dropped = [this](Carrier carrier) {
+    return counters.read().refusals[static_cast<std::size_t>(carrier)][static_cast<std::size_t>(Refusal::kPoseRate)];
+  };
+  // More than a busy machine sends within the rate: some are beyond it, however long this takes.
+  const Sender flooder{Carrier::kZeroMq, 7}, other{Carrier::kZeroMq, 8};
+  std::uint64_t sent = 0;
+  while (dropped(Carrier::kZeroMq) < 100 && sent < 10'000'000) {
+    input.receive_framed(message, flooder);
+    ++sent;
+  }
+  EXPECT_EQ(poses.size() + dropped(Carrier::kZeroMq), sent);
+  EXPECT_GE(refused_scenes.size(), 1u);
+  EXPECT_LT(refused_scenes.size(), 100u);
+  EXPECT_EQ(input.malformed_count(), 0u);
+  const std::size_t before = poses.size();
+  input.receive_framed(message, other);
+  input.receive(key, serialized_pose(), {Carrier::kZenoh, 7});
+  EXPECT_EQ(poses.size(), before + 2);
+  EXPECT_EQ(dropped(Carrier::kZenoh), 0u);
 }
 
 }  // namespace

@@ -123,6 +123,15 @@ TEST(StoppedReader, DelaysNeitherThePublisherNorOtherReaders) {
   // A blocking send would take seconds (zenoh) or never return (ZeroMQ). The bound leaves room for a busy machine.
   EXPECT_LT(longest, std::chrono::milliseconds(500));
   RecordProperty("longest_publish_us", static_cast<int>(longest / std::chrono::microseconds(1)));
+  const BusCounts counts = server.bus->counts();
+  constexpr std::size_t kFrame = 1;
+  static_assert(kStreamNames[kFrame] == "frame");
+  for (const Carrier carrier : {Carrier::kZeroMq, Carrier::kZenoh}) {
+    const auto& full = counts.full_queues[static_cast<std::size_t>(carrier)];
+    EXPECT_GT(full[kFrame], 0u) << kCarrierNames[static_cast<std::size_t>(carrier)];
+    EXPECT_LE(full[kFrame], 400u);
+    EXPECT_EQ(full[0] + full[2] + full[3], 0u);
+  }
   // During such a burst ZeroMQ may drop frames for running readers too. Frames after the burst must arrive.
   const std::uint64_t burst = sequence;
   EXPECT_TRUE(eventually([&] {

@@ -3,6 +3,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <random>
 
 #include "core/limits.h"
@@ -134,6 +135,99 @@ TEST(GarbageMessages, OnThePublishEndpointAreCountedAndSurvived) {
   client.send(zmq::buffer(std::string(1, 1).append(random_bytes(300, 4))));
   EXPECT_EQ(server.malformed.wait_for(1).size(), 1u);
   expect_alive(server);
+}
+
+std::uint64_t refused(const BusOnFreePorts& server, Refusal refusal) {
+  return server.bus->counts().refusals[static_cast<std::size_t>(Carrier::kZenoh)][static_cast<std::size_t>(refusal)];
+}
+
+TEST(Zenoh, WhatItRefusesIsCounted) {
+  BusOnFreePorts server(false, true);
+  auto session = zenoh::Session::open({.connect = server.bus->endpoints().zenoh_locator, .shared_memory = false});
+  ASSERT_TRUE(session) << session.error().message;
+  const std::string key = pose_key(kServer, "demo", "probe");
+  ASSERT_TRUE(eventually([&] {
+    session->put(key, make_pose(1).SerializeAsString());
+    return server.poses.size() > 0;
+  }));
+  EXPECT_EQ(refused(server, Refusal::kAccess), 0u);
+  EXPECT_EQ(refused(server, Refusal::kMessageSize), 0u);
+  EXPECT_TRUE(eventually([&] {
+    session->put(frame_key(kServer, "demo"), "forged");
+    return refused(server, Refusal::kAccess) > 0;
+  }));
+  EXPECT_TRUE(eventually([&] {
+    session->put(key, std::string(1 << 20, 'x'));
+    return refused(server, Refusal::kMessageSize) > 0;
+  }));
+  EXPECT_EQ(refused(server, Refusal::kSubscriptions), 0u);
+}
+
+TEST(Zenoh, AClientWithTooManySubscriptionsIsDisconnected) {
+  BusOnFreePorts server;
+  auto honest = zenoh::Session::open({.connect = server.bus->endpoints().zenoh_locator});
+  auto session = zenoh::Session::open({.connect = server.bus->endpoints().zenoh_locator});
+  ASSERT_TRUE(honest && session);
+  std::atomic<int> heard = 0;
+  const std::string key = frame_key(kServer, "demo");
+  const auto listener = honest->subscribe(key, [&](auto&&...) { ++heard; });
+  ASSERT_TRUE(listener);
+  std::vector<zenoh::Subscriber> held;
+  const auto subscribe = [&](std::size_t number) {
+    auto subscriber = session->subscribe(frame_key(kServer, "s" + std::to_string(number)), [](auto&&...) {});
+    ASSERT_TRUE(subscriber);
+    held.push_back(std::move(*subscriber));
+  };
+  // Those that ended do not count.
+  for (std::size_t i = 0; i < limits::kMaxZenohDeclarations; ++i) {
+    subscribe(i);
+    if (i % 2 == 0) held.pop_back();
+  }
+  // What the session sends after its subscriptions is read after them.
+  ASSERT_TRUE(eventually([&] {
+    session->put(pose_key(kServer, "demo", "probe"), make_pose(1).SerializeAsString());
+    return server.poses.size() > 0;
+  }));
+  EXPECT_EQ(refused(server, Refusal::kSubscriptions), 0u);
+  for (std::size_t i = 0; i < limits::kMaxZenohDeclarations; ++i) subscribe(1000 + i);
+  EXPECT_TRUE(eventually([&] { return refused(server, Refusal::kSubscriptions) > 0; }));
+  const int before = heard;
+  EXPECT_TRUE(eventually([&] {
+    server.bus->publish(key, v1::Frame());
+    return heard > before;
+  })) << "other clients notice nothing";
+  held.clear();
+  expect_alive(server);
+}
+
+TEST(Zenoh, BeyondTheSumOfSubscriptionsTheClientWithMostIsDisconnected) {
+  BusOnFreePorts with_log(false, true);  // which counts need
+  auto server =
+      zenoh::Session::open({.listen = "tcp/127.0.0.1:0", .max_declarations = 100, .max_declarations_of_all = 20});
+  ASSERT_TRUE(server) << server.error().message;
+  auto most = zenoh::Session::open({.connect = server->locator()}),
+       fewer = zenoh::Session::open({.connect = server->locator()});
+  ASSERT_TRUE(most && fewer);
+  std::atomic<int> heard = 0;
+  std::vector<zenoh::Subscriber> held;
+  const auto subscribe = [&](zenoh::Session& session, const std::string& key) {
+    auto subscriber = session.subscribe(key, [&](auto&&...) { ++heard; });
+    ASSERT_TRUE(subscriber);
+    held.push_back(std::move(*subscriber));
+  };
+  const std::uint64_t before = tensormass_zenoh_refused().too_many_declarations;
+  for (int i = 0; i < 15; ++i) subscribe(*most, "most/" + std::to_string(i));
+  ASSERT_TRUE(eventually([&] {
+    server->put("most/14", "x");
+    return heard > 0;
+  }));
+  EXPECT_EQ(tensormass_zenoh_refused().too_many_declarations, before);
+  heard = 0;
+  for (int i = 0; i < 6; ++i) subscribe(*fewer, "fewer/" + std::to_string(i));
+  EXPECT_TRUE(eventually([&] {
+    server->put("fewer/5", "x");
+    return heard > 0 && tensormass_zenoh_refused().too_many_declarations > before;
+  }));
 }
 
 }  // namespace

@@ -18,10 +18,11 @@ TEST(ZenohKeys, ASessionThatCannotOpenIsTriedAgain) {
   folder.write("without.json", tests::KeyFolder::list_of(""));
   auto keys = access::KeyRing::open(folder.path());
   ASSERT_TRUE(keys) << keys.error().message;
+  BusCounters counters;
   PoseInput input(
-      test::kServer, [](auto&&...) {}, [](auto&&...) {}, keys->get());
-  auto transport =
-      ZenohTransport::open({.server = test::kServer, .listen = "tcp/127.0.0.1:0", .keys = keys->get()}, input);
+      test::kServer, [](auto&&...) {}, [](auto&&...) {}, counters, keys->get());
+  auto transport = ZenohTransport::open({.server = test::kServer, .listen = "tcp/127.0.0.1:0", .keys = keys->get()},
+                                        input, counters);
   ASSERT_TRUE(transport) << transport.error().message;
   std::atomic<int> calls = 0, done = 0;
   (*keys)->follow([&] {

@@ -32,14 +32,21 @@ def test_the_page_has_the_names_types_and_labels_of_the_baseline() -> None:
 def test_the_page_has_every_value_of_labels_that_are_lists() -> None:
     made = families(baseline())
     values = {
-        "reason": made["tensormass_faults_total"].labels["reason"],
-        "limit": made["tensormass_refusals_total"].labels["limit"],
+        "reason` | the first bound": made["tensormass_faults_total"].labels["reason"],
+        "reason` | what a transport": made["tensormass_bus_refusals_total"].labels["reason"],
+        "limit`": made["tensormass_refusals_total"].labels["limit"],
     }
-    for label, expected in values.items():
-        table = PAGE.split(f"| `{label}` |")[1].split("\n\n")[0]
+    for head, expected in values.items():
+        table = PAGE.split(f"| `{head}")[1].split("\n\n")[0]
         first_cells = [row.split("|")[1] for row in table.splitlines()[2:]]
         assert set(re.findall(r"`(\w+)`", " ".join(first_cells))) == expected
-    for name, label in (("scene_state", "state"), ("poses_total", "outcome"), ("frames_total", "outcome")):
+    for name, label in (
+        ("scene_state", "state"),
+        ("poses_total", "outcome"),
+        ("frames_total", "outcome"),
+        ("bus_refusals_total", "transport"),
+        ("recording_losses_total", "what"),
+    ):
         row = next(line for line in PAGE.splitlines() if line.startswith(f"| `tensormass_{name}`"))
         assert made[f"tensormass_{name}"].labels[label] <= set(re.findall(r"`(\w+)`", row))
 
@@ -67,6 +74,22 @@ def test_rules_and_dashboard_ask_for_metrics_that_there_are(file: str) -> None:
     names = set(used_names((DOCKER / file).read_text()))
     assert len(names) > 5
     assert names <= set(families(baseline()))
+
+
+@pytest.mark.parametrize("file", ["prometheus-alerts.yaml", "grafana-dashboard.json"])
+def test_rules_and_dashboard_ask_for_labels_and_values_that_there_are(file: str) -> None:
+    text = (DOCKER / file).read_text().replace('\\"', '"')
+    made, asked = families(baseline()), 0
+    for name, matchers in re.findall(r"\b(tensormass_\w+)\{([^}]*)\}", text):
+        family = made[next(used_names(name))]
+        for label, how, value in re.findall(r'(\w+)(=~|!=|=)"([^"]*)"', matchers):
+            # Prometheus adds the instance. What begins with $ is a variable of the dashboard.
+            assert label in family.labels or label == "instance", f"{name} has no label {label}"
+            if not value.startswith("$"):
+                assert how != "=~", "this test compares whole values"
+                assert value in family.labels[label], f"{name} has no {label} {value}"
+                asked += 1
+    assert asked > 0
 
 
 def test_the_dashboard_shows_every_metric() -> None:
@@ -138,6 +161,17 @@ ALERTS = [
         20,
     ),
     ("TensormassRefusals", [series("tensormass_refusals_total", "0+5x30", limit="role")], 20),
+    (
+        "TensormassBusRefusals",
+        [series("tensormass_bus_refusals_total", "0+5x30", transport="zenoh", reason="access")],
+        20,
+    ),
+    (
+        "TensormassFullQueues",
+        [series("tensormass_bus_full_queues_total", "0+2x30", transport="zeromq", stream="feedback")],
+        20,
+    ),
+    ("TensormassRecordingLosses", [series("tensormass_recording_losses_total", "0+1x30", what="steps")], 20),
 ]
 
 

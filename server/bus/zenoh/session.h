@@ -59,6 +59,9 @@ struct SessionOptions {
   /// Bytes of a message of a peer; a larger one is dropped before it is held. A message that zenoh sends in one piece,
   /// below 64 KiB, passes whatever the limit. 0: zenoh's own limit, 1 GiB.
   std::uint32_t max_message_bytes = 0;
+  /// Subscriptions and interests of a peer, and of all peers; beyond it a peer's connection is closed. 0: no limit.
+  /// They are counted once somebody receives zenoh's log.
+  std::uint32_t max_declarations = 0, max_declarations_of_all = 0;
   /// Sends large messages through shared memory to peers on the same machine that also turned it on.
   bool shared_memory = true;
 };
@@ -108,6 +111,8 @@ class Session {
                                        .private_key = options.private_key.c_str(),
                                        .max_sessions = options.max_sessions,
                                        .max_message_bytes = options.max_message_bytes,
+                                       .max_declarations = options.max_declarations,
+                                       .max_declarations_of_all = options.max_declarations_of_all,
                                        .shared_memory = options.shared_memory};
     Session session(tensormass_zenoh_open(&raw, error.data(), error.size()));
     if (!session.session_) {
@@ -127,9 +132,11 @@ class Session {
   }
 
   /// Sends a message to the subscribers of `key`; a subscriber whose queue is full loses it. `urgent` messages overtake
-  /// the others. Returns false if `key` is not a valid key or the session is closed.
-  bool put(std::string_view key, std::string_view payload, bool urgent = false) {
-    return tensormass_zenoh_put(session_.get(), key.data(), key.size(), detail::bytes(payload), payload.size(), urgent);
+  /// the others. full_queues: gets the number of subscribers whose queue became full by it. Returns false if `key` is
+  /// not a valid key or the session is closed.
+  bool put(std::string_view key, std::string_view payload, bool urgent = false, std::uint32_t* full_queues = nullptr) {
+    return tensormass_zenoh_put(session_.get(), key.data(), key.size(), detail::bytes(payload), payload.size(), urgent,
+                                full_queues);
   }
 
   /// Keeps a copy of the message as the answer to a peer's `get` of its key, in place of the one before. Needs

@@ -47,6 +47,10 @@ typedef struct {
    * 1 GiB. */
   uint32_t max_sessions;
   uint32_t max_message_bytes;
+  /* Subscriptions and interests of a peer, and of all peers together; beyond it a peer's connection is closed. 0: no
+   * limit. Counted only after tensormass_zenoh_set_log. */
+  uint32_t max_declarations;
+  uint32_t max_declarations_of_all;
   bool shared_memory;
 } tensormass_zenoh_options;
 
@@ -59,10 +63,11 @@ void tensormass_zenoh_close(tensormass_zenoh_session* session);
 /* Writes the address that the session listens on, with the port that was chosen; "" if it does not listen. */
 void tensormass_zenoh_locator(const tensormass_zenoh_session* session, char* locator, size_t capacity);
 
-/* Sends a message. Waits at most a few milliseconds, fixed by zenoh, for a reader whose queue is full; that reader then
+/* Sends a message. `full_queues`, unless it is null, gets the number of readers whose queue became full by it. Waits at
+ * most a few milliseconds, fixed by zenoh, for a reader whose queue is full; that reader then
  * loses the message. Urgent messages overtake the others. Returns false if the key is invalid or the session closed. */
 bool tensormass_zenoh_put(const tensormass_zenoh_session* session, const char* key, size_t key_size,
-                          const uint8_t* payload, size_t size, bool urgent);
+                          const uint8_t* payload, size_t size, bool urgent, uint32_t* full_queues);
 /* Keeps a message as the answer to a get of this key; needs `serve`. Returns false if the key is invalid. */
 bool tensormass_zenoh_retain(const tensormass_zenoh_session* session, const char* key, size_t key_size,
                              const uint8_t* payload, size_t size);
@@ -74,6 +79,10 @@ void tensormass_zenoh_forget(const tensormass_zenoh_session* session, const char
 tensormass_zenoh_subscriber* tensormass_zenoh_subscribe(const tensormass_zenoh_session* session, const char* key,
                                                         size_t key_size, tensormass_zenoh_message_fn function,
                                                         void* context);
+/* Number of the peer whose message the calling function of a subscriber has: the same for all connections whose
+ * certificates have the same name, and without certificates one a connection. 0: not known, because the session has no
+ * max_declarations or nobody receives the log. */
+uint64_t tensormass_zenoh_sender(void);
 /* Ends the subscription and returns when its function is not running. Must not be called from that function, and must
  * be called before the session is closed. */
 void tensormass_zenoh_unsubscribe(tensormass_zenoh_subscriber* subscriber);
@@ -89,6 +98,14 @@ bool tensormass_zenoh_set_log(tensormass_zenoh_log_fn function, void* context);
 /* Connections to this process that failed zenoh's handshake. zenoh reports them only in its log, so the count starts
  * when tensormass_zenoh_set_log is called. */
 uint64_t tensormass_zenoh_failed_handshakes(void);
+
+/* What sessions of this process did not take from peers, counted as the failed handshakes are. */
+typedef struct {
+  uint64_t not_allowed; /* messages that access control dropped */
+  uint64_t too_large;   /* messages above max_message_bytes */
+  uint64_t too_many_declarations;
+} tensormass_zenoh_refusals;
+tensormass_zenoh_refusals tensormass_zenoh_refused(void);
 
 #ifdef __cplusplus
 }

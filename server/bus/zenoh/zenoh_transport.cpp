@@ -18,10 +18,12 @@ std::string with_tls(const std::string& locator) {
 
 }  // namespace
 
-ZenohTransport::ZenohTransport(ZenohOptions options, PoseInput& input) : options_(std::move(options)), input_(input) {}
+ZenohTransport::ZenohTransport(ZenohOptions options, PoseInput& input, BusCounters& counters)
+    : options_(std::move(options)), input_(input), counters_(counters) {}
 
-Result<std::unique_ptr<ZenohTransport>> ZenohTransport::open(const ZenohOptions& options, PoseInput& input) {
-  std::unique_ptr<ZenohTransport> transport(new ZenohTransport(options, input));
+Result<std::unique_ptr<ZenohTransport>> ZenohTransport::open(const ZenohOptions& options, PoseInput& input,
+                                                             BusCounters& counters) {
+  std::unique_ptr<ZenohTransport> transport(new ZenohTransport(options, input, counters));
   if (options.keys != nullptr) {
     transport->options_.listen = with_tls(options.listen);
     transport->access_control_ = zenoh_access_control(options.server, options.keys->list());
@@ -38,6 +40,8 @@ Result<void> ZenohTransport::open_session() {
                                .access_control = access_control_,
                                .max_sessions = options_.max_sessions,
                                .max_message_bytes = limits::kMaxZenohMessageBytes,
+                               .max_declarations = limits::kMaxZenohDeclarations,
+                               .max_declarations_of_all = limits::kMaxZenohDeclarationsOfAll,
                                // Whoever has an account on this machine can read shared memory.
                                .shared_memory = options_.keys == nullptr};
   if (options_.keys != nullptr) {
@@ -47,10 +51,10 @@ Result<void> ZenohTransport::open_session() {
     wanted.private_key = own.private_key_pem;
   }
   TM_ASSIGN_OR_RETURN(session, zenoh::Session::open(wanted));
-  TM_ASSIGN_OR_RETURN(poses, session.subscribe(pose_key(options_.server, "*", "*"),
-                                               [this](std::string_view key, std::string_view payload) {
-                                                 input_.receive(key, payload);
-                                               }));
+  TM_ASSIGN_OR_RETURN(poses, session.subscribe(pose_key(options_.server, "*", "*"), [this](std::string_view key,
+                                                                                           std::string_view payload) {
+    input_.receive(key, payload, {Carrier::kZenoh, tensormass_zenoh_sender()});
+  }));
   session_.emplace(std::move(session));
   poses_ = std::move(poses);
   return {};
@@ -67,7 +71,9 @@ void ZenohTransport::publish(const MessagePtr& message, PublishOptions options) 
 
 void ZenohTransport::put(const MessagePtr& message, PublishOptions options) {
   if (options.retain) session_->retain(message->key(), message->payload());
-  session_->put(message->key(), message->payload(), options.urgent);
+  std::uint32_t full_queues = 0;
+  session_->put(message->key(), message->payload(), options.urgent, &full_queues);
+  counters_.count_full_queues(Carrier::kZenoh, message->key(), full_queues);
 }
 
 void ZenohTransport::forget(std::string_view key) {

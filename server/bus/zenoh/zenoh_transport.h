@@ -9,6 +9,7 @@
 #include <string>
 #include <string_view>
 
+#include "bus/bus_counts.h"
 #include "bus/pose_input.h"
 #include "bus/transport.h"
 #include "bus/zenoh/session.h"
@@ -40,8 +41,9 @@ struct ZenohOptions {
 /// its address. Clients connect again by themselves.
 class ZenohTransport final : public Transport {
  public:
-  /// `input` must outlive the transport. Fails with kUnavailable if `listen` cannot be listened on.
-  static Result<std::unique_ptr<ZenohTransport>> open(const ZenohOptions& options, PoseInput& input);
+  /// `input` and `counters` must outlive the transport. Fails with kUnavailable if `listen` cannot be listened on.
+  static Result<std::unique_ptr<ZenohTransport>> open(const ZenohOptions& options, PoseInput& input,
+                                                      BusCounters& counters);
 
   void publish(const MessagePtr& message, PublishOptions options) override;
   void forget(std::string_view key) override;
@@ -53,12 +55,13 @@ class ZenohTransport final : public Transport {
   const std::string& locator() const { return locator_; }
 
  private:
-  ZenohTransport(ZenohOptions options, PoseInput& input);
+  ZenohTransport(ZenohOptions options, PoseInput& input, BusCounters& counters);
   Result<void> open_session();
   void put(const MessagePtr& message, PublishOptions options);
 
   ZenohOptions options_;
   PoseInput& input_;
+  BusCounters& counters_;
   std::string locator_;
   std::string access_control_;
   bool told_off_ = false;  // the log says that there is no session

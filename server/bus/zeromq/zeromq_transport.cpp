@@ -11,6 +11,7 @@
 #include <chrono>
 #include <cstdint>
 #include <cstring>
+#include <functional>
 #include <new>
 #include <string>
 #include <utility>
@@ -88,8 +89,9 @@ ZeroMqTransport::Monitor::Monitor(zmq::context_t& context, zmq::socket_t& socket
   events.connect(address);
 }
 
-Result<std::unique_ptr<ZeroMqTransport>> ZeroMqTransport::open(const ZeroMqOptions& options, PoseInput& input) {
-  std::unique_ptr<ZeroMqTransport> transport(new ZeroMqTransport(options, input));
+Result<std::unique_ptr<ZeroMqTransport>> ZeroMqTransport::open(const ZeroMqOptions& options, PoseInput& input,
+                                                               BusCounters& counters) {
+  std::unique_ptr<ZeroMqTransport> transport(new ZeroMqTransport(options, input, counters));
   auto publish = bind(transport->publisher_, options.publish_endpoint);
   if (!publish) return tl::make_unexpected(publish.error());
   auto pose = bind(transport->poses_, options.pose_endpoint);
@@ -100,8 +102,9 @@ Result<std::unique_ptr<ZeroMqTransport>> ZeroMqTransport::open(const ZeroMqOptio
   return transport;
 }
 
-ZeroMqTransport::ZeroMqTransport(const ZeroMqOptions& options, PoseInput& input)
+ZeroMqTransport::ZeroMqTransport(const ZeroMqOptions& options, PoseInput& input, BusCounters& counters)
     : input_(input),
+      counters_(counters),
       keys_(options.keys),
       server_(options.server),
       publisher_(context_, zmq::socket_type::xpub),
@@ -118,6 +121,8 @@ ZeroMqTransport::ZeroMqTransport(const ZeroMqOptions& options, PoseInput& input)
   // Reports every subscription and every end of one. By default XPUB reports only the first to a key and the last end,
   // but the second joined late too.
   publisher_.set(zmq::sockopt::xpub_verboser, true);
+  // A send fails if a queue is full, instead of dropping the message without a word.
+  publisher_.set(zmq::sockopt::xpub_nodrop, true);
   poses_.set(zmq::sockopt::linger, 0);
   poses_.set(zmq::sockopt::maxmsgsize, kMaxInputBytes);
   for (zmq::socket_t* socket : {&publisher_, &poses_}) socket->set(zmq::sockopt::handshake_ivl, kHandshakeMs);
@@ -164,7 +169,13 @@ void ZeroMqTransport::send(const MessagePtr& message) {
   zmq::message_t frame(
       const_cast<char*>(bytes.data()), bytes.size(), [](void*, void* hint) { delete static_cast<MessagePtr*>(hint); },
       new MessagePtr(message));
+  if (publisher_.send(frame, zmq::send_flags::dontwait)) return;
+  // The others get it, and whose queue is full loses it. ZeroMQ then leaves that one out, and its queue counts as full
+  // no more until it reads.
+  counters_.count_full_queues(Carrier::kZeroMq, message->key(), 1);
+  publisher_.set(zmq::sockopt::xpub_nodrop, false);
   publisher_.send(frame, zmq::send_flags::dontwait);
+  publisher_.set(zmq::sockopt::xpub_nodrop, true);
 }
 
 void ZeroMqTransport::serve_subscriptions() {
@@ -200,13 +211,18 @@ void ZeroMqTransport::serve_request(zmq::message_t& request) {
   if (bytes.front() == 0) return subscribers_.unsubscribe(from, prefix);
   if (keys_ != nullptr && prefix.ends_with('\0') && !may_subscribe(from.client, prefix.substr(0, prefix.size() - 1))) {
     if (subscribers_.refuse(from, request)) {
+      counters_.count_refusal(Carrier::kZeroMq, Refusal::kAccess);
       disconnect(from.descriptor,
                  "a subscription that its client's key does not allow, on the ZeroMQ publish endpoint; its client was "
                  "disconnected");
     }
     return;
   }
-  switch (subscribers_.subscribe(from, request, prefix)) {
+  const Subscribers::Verdict verdict = subscribers_.subscribe(from, request, prefix);
+  if (verdict == Subscribers::Verdict::kTooMany || verdict == Subscribers::Verdict::kTooManyOfKey) {
+    counters_.count_refusal(Carrier::kZeroMq, Refusal::kSubscriptions);
+  }
+  switch (verdict) {
     case Subscribers::Verdict::kIgnored:
       return;
     case Subscribers::Verdict::kWrongKey:
@@ -307,7 +323,11 @@ void ZeroMqTransport::receive_poses() {
   for (int count = 0; count < kPosesPerTurn && poses_.recv(message, zmq::recv_flags::dontwait); ++count) {
     if (!message.more()) {
       const char* const sender = keys_ != nullptr ? zmq_msg_gets(message.handle(), "User-Id") : nullptr;
-      input_.receive_framed(message.to_string_view(), sender != nullptr ? sender : "");
+      // A key's connections count together, and without keys each for itself.
+      const std::uint64_t number = sender != nullptr
+                                       ? std::hash<std::string_view>()(sender)
+                                       : static_cast<std::uint64_t>(zmq_msg_get(message.handle(), ZMQ_SRCFD));
+      input_.receive_framed(message.to_string_view(), {Carrier::kZeroMq, number, sender != nullptr ? sender : ""});
       if (sender != nullptr && keys_->find(sender) == nullptr) {
         const int descriptor = zmq_msg_get(message.handle(), ZMQ_SRCFD);
         if (is_at(descriptor, pose_endpoint_)) shutdown(descriptor, SHUT_RDWR);

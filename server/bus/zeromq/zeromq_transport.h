@@ -13,6 +13,7 @@
 
 #include <zmq.hpp>
 
+#include "bus/bus_counts.h"
 #include "bus/pose_input.h"
 #include "bus/transport.h"
 #include "bus/zeromq/handshake_counter.h"
@@ -61,8 +62,10 @@ struct ZeroMqOptions {
 ///    subscription comes from.
 class ZeroMqTransport final : public Transport {
  public:
-  /// `input` must outlive the transport. Fails with kUnavailable and names the endpoint that it cannot listen on.
-  static Result<std::unique_ptr<ZeroMqTransport>> open(const ZeroMqOptions& options, PoseInput& input);
+  /// `input` and `counters` must outlive the transport. Fails with kUnavailable and names the endpoint that it cannot
+  /// listen on.
+  static Result<std::unique_ptr<ZeroMqTransport>> open(const ZeroMqOptions& options, PoseInput& input,
+                                                       BusCounters& counters);
   /// Joins the receiver thread, then waits at most kLingerMs for the last messages to leave.
   ~ZeroMqTransport() override;
 
@@ -88,7 +91,7 @@ class ZeroMqTransport final : public Transport {
     bool wanted = false;  // somebody joined since it was last repeated
   };
 
-  ZeroMqTransport(const ZeroMqOptions& options, PoseInput& input);
+  ZeroMqTransport(const ZeroMqOptions& options, PoseInput& input, BusCounters& counters);
   /// Runs on the receiver thread until stopping_.
   void receive_loop();
   /// Answers ZeroMQ's questions whether a client is let in (ZAP, rfc.zeromq.org/spec/27).
@@ -116,10 +119,11 @@ class ZeroMqTransport final : public Transport {
   std::chrono::milliseconds sleep_time();
   /// Ends the sleep of the receiver thread, once for each sleep. The caller must hold mutex_.
   void wake_receiver();
-  /// Sends without waiting and without copying. The caller must hold mutex_.
+  /// Sends without waiting and without copying, and counts a full queue. The caller must hold mutex_.
   void send(const MessagePtr& message);
 
   PoseInput& input_;
+  BusCounters& counters_;
   const access::KeyRing* const keys_;
   const std::string server_;
   zmq::context_t context_{1};

@@ -4,6 +4,7 @@
 //! Every put uses congestion control `Drop`, because `Block` lets one stopped subscriber stall the publisher.
 
 mod log;
+mod peers;
 
 use std::collections::HashMap;
 use std::ffi::{c_char, c_void, CStr};
@@ -70,6 +71,8 @@ struct Options<'a> {
     private_key: &'a str,
     max_sessions: u32,
     max_message_bytes: u32,
+    max_declarations: u32,
+    max_declarations_of_all: u32,
     shared_memory: bool,
 }
 
@@ -184,6 +187,13 @@ fn open(options: &Options) -> Result<Session, Failure> {
             Err(error) => return Err(error),
         }
     };
+    if options.max_declarations > 0 {
+        let limits = peers::Limits {
+            of_one: options.max_declarations as usize,
+            of_all: options.max_declarations_of_all as usize,
+        };
+        peers::watch(&session, limits)?;
+    }
     let retained = Retained::default();
     let server = match options.serve {
         "" => None,
@@ -248,6 +258,8 @@ pub struct RawOptions {
     private_key: *const c_char,
     max_sessions: u32,
     max_message_bytes: u32,
+    max_declarations: u32,
+    max_declarations_of_all: u32,
     shared_memory: bool,
 }
 
@@ -273,6 +285,8 @@ pub unsafe extern "C" fn tensormass_zenoh_open(
                 private_key: text(raw.private_key)?,
                 max_sessions: raw.max_sessions,
                 max_message_bytes: raw.max_message_bytes,
+                max_declarations: raw.max_declarations,
+                max_declarations_of_all: raw.max_declarations_of_all,
                 shared_memory: raw.shared_memory,
             })
         })()
@@ -310,16 +324,27 @@ pub unsafe extern "C" fn tensormass_zenoh_put(
     payload: *const u8,
     size: usize,
     urgent: bool,
+    full_queues: *mut u32,
 ) -> bool {
     let (session, key) = unsafe { (&*session, key_expr(key, key_size)) };
     let Ok(key) = key else { return false };
-    session
+    log::take_full_queues();
+    let done = session
         .session
         .put(key, unsafe { bytes(payload, size) })
         .congestion_control(CongestionControl::Drop)
         .priority(if urgent { Priority::RealTime } else { Priority::Data })
         .wait()
-        .is_ok()
+        .is_ok();
+    if !full_queues.is_null() {
+        unsafe { *full_queues = log::take_full_queues() };
+    }
+    done
+}
+
+#[no_mangle]
+pub extern "C" fn tensormass_zenoh_sender() -> u64 {
+    peers::sender()
 }
 
 #[no_mangle]

@@ -1,15 +1,19 @@
-//! Forwards zenoh's warnings and errors to the caller, and counts failed handshakes.
+//! Forwards zenoh's warnings and errors to the caller, and counts what zenoh refuses and drops.
 //!
-//! zenoh has no counter for a peer that connects and does not speak zenoh. It only writes one debug line for each, so
-//! this file reads the lines of the two modules that write them.
+//! zenoh has no counter for a peer that connects and does not speak zenoh, nor for messages that it drops. It only
+//! writes a line for each, so this file reads the lines of the modules that write them, and the spans that `peers` needs.
 
+use std::cell::Cell;
 use std::ffi::{c_char, c_void};
 use std::fmt::Write;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
+use tracing::subscriber::Interest;
 use tracing::{Event, Level, Metadata, Subscriber};
+
+use crate::peers;
 
 type LogFn = extern "C" fn(*mut c_void, bool, *const c_char, usize);
 
@@ -17,12 +21,67 @@ type LogFn = extern "C" fn(*mut c_void, bool, *const c_char, usize);
 const ACCEPT: &str = "zenoh_transport::unicast::establishment::accept";
 const MANAGER: &str = "zenoh_transport::unicast::manager";
 
+/// The module whose span holds the handling of a peer's message.
+const DEMUX: &str = "zenoh::net::primitives::demux";
+/// The modules whose spans are declarations of a peer.
+const PUBSUB: &str = "zenoh::net::routing::dispatcher::pubsub";
+const INTERESTS: &str = "zenoh::net::routing::dispatcher::interests";
+/// The modules whose trace lines tell of messages that are not let in, too long, or not sent.
+const ACCESS: &str = "zenoh::net::routing::interceptor::access_control";
+const RECEIVE: &str = "zenoh_transport::unicast::universal::rx";
+const SEND: &str = "zenoh_transport::common::pipeline";
+
+/// Bytes of a trace line that are read. What follows may be a whole message.
+const READ_OF_TRACE: usize = 512;
+
+/// Ids of spans.
+const MESSAGE: u64 = 1;
+const OTHER: u64 = 2;
+
 /// The starts of warnings that are dropped. The first comes at every start and is about gateways between regions; we
 /// configure none. The second comes for each peer that reaches us through several network interfaces. It is about
 /// access rules that name an interface; ours name none.
 const NOT_ABOUT_US: [&str; 2] = ["Gossip is disabled", "Transport returned multiple network interfaces"];
 
 static FAILED_HANDSHAKES: AtomicU64 = AtomicU64::new(0);
+static NOT_ALLOWED: AtomicU64 = AtomicU64::new(0);
+static TOO_LARGE: AtomicU64 = AtomicU64::new(0);
+static TOO_MANY_DECLARATIONS: AtomicU64 = AtomicU64::new(0);
+
+/// Lines that say nothing of interest, by the address of their metadata: each was read once. 0: a free place.
+static NOISE: [AtomicUsize; 32] = [const { AtomicUsize::new(0) }; 32];
+
+thread_local! {
+    /// A message of the current peer was not let in.
+    static DENIED: Cell<bool> = const { Cell::new(false) };
+    /// zenoh works out what a peer will be allowed, and writes the same lines.
+    static CACHING: Cell<bool> = const { Cell::new(false) };
+    static FULL_QUEUES: Cell<u32> = const { Cell::new(0) };
+}
+
+/// Peers whose queue became full during the last put of this thread. zenoh tries a second time, and writes each twice.
+pub fn take_full_queues() -> u32 {
+    FULL_QUEUES.take().div_ceil(2)
+}
+
+fn address_of(metadata: &Metadata<'_>) -> usize {
+    std::ptr::from_ref(metadata) as usize
+}
+
+fn is_noise(metadata: &Metadata<'_>) -> bool {
+    NOISE.iter().any(|place| place.load(Ordering::Relaxed) == address_of(metadata))
+}
+
+fn add_noise(metadata: &Metadata<'_>) {
+    let free = |place: &&AtomicUsize| {
+        place.compare_exchange(0, address_of(metadata), Ordering::Relaxed, Ordering::Relaxed).is_ok()
+    };
+    let _ = NOISE.iter().find(free);
+}
+
+fn is_counted_trace(metadata: &Metadata<'_>) -> bool {
+    metadata.is_event() && *metadata.level() == Level::TRACE && [ACCESS, RECEIVE, SEND].contains(&metadata.target())
+}
 
 struct Forward {
     function: LogFn,
@@ -33,6 +92,53 @@ unsafe impl Sync for Forward {}
 
 #[derive(Default)]
 struct Message(String);
+
+/// The first READ_OF_TRACE bytes of a line.
+#[derive(Default)]
+struct Start(String);
+
+impl Write for Start {
+    fn write_str(&mut self, text: &str) -> std::fmt::Result {
+        // The error ends the formatting of what follows.
+        if self.0.len() >= READ_OF_TRACE {
+            return Err(std::fmt::Error);
+        }
+        self.0.push_str(text);
+        Ok(())
+    }
+}
+
+impl Visit for Start {
+    fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
+        if field.name() == "message" {
+            let _ = write!(self, "{value:?}");
+        }
+    }
+}
+
+/// Fields of a span of `peers`.
+#[derive(Default)]
+struct Fields {
+    source: String,
+    id: Option<u32>,
+    mode: String,
+}
+
+impl Visit for Fields {
+    fn record_u64(&mut self, field: &Field, value: u64) {
+        if field.name() == "id" {
+            self.id = u32::try_from(value).ok();
+        }
+    }
+    fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
+        match field.name() {
+            "src" => drop(write!(self.source, "{value:?}")),
+            "mode" => drop(write!(self.mode, "{value:?}")),
+            "id" => self.id = format!("{value:?}").parse().ok(),
+            _ => (),
+        }
+    }
+}
 
 /// Removes every " at FILE.rs:LINE." that zenoh appends to its errors and leaves the rest, which states the cause.
 pub fn without_source_paths(message: &str) -> String {
@@ -65,24 +171,101 @@ impl Visit for Message {
     }
 }
 
+impl Forward {
+    fn write(&self, is_error: bool, text: &str) {
+        (self.function)(self.context, is_error, text.as_ptr().cast(), text.len());
+    }
+
+    fn read_trace(event: &Event<'_>) {
+        let mut line = Start::default();
+        event.record(&mut line);
+        let line = line.0.as_str();
+        let noise = match event.metadata().target() {
+            ACCESS => {
+                CACHING.set(CACHING.get() || line.starts_with("ACL ("));
+                // "WHO is unauthorized to WHAT (ingress) on KEY": peers choose the key alone, which comes last.
+                let refused = line.split_once(" is unauthorized to ").and_then(|(_, rest)| rest.split_once(" on "));
+                if refused.is_some_and(|(what, _)| what.ends_with("(ingress)")) && !CACHING.get() {
+                    DENIED.set(true);
+                }
+                // The last line of those that say what will be allowed.
+                if refused.is_some_and(|(what, _)| what.starts_with("Declare Liveliness Subscriber")) {
+                    CACHING.set(false);
+                }
+                line.contains(" is authorized to ")
+            }
+            RECEIVE => {
+                TOO_LARGE.fetch_add(line.starts_with("Defragmentation buffer full").into(), Ordering::Relaxed);
+                line.starts_with("Received: ") || line.starts_with("Transport: ")
+            }
+            _ => {
+                let full = line.starts_with("Zenoh message dropped because it's over the deadline");
+                FULL_QUEUES.set(FULL_QUEUES.get() + u32::from(full));
+                !full
+            }
+        };
+        if noise {
+            add_noise(event.metadata());
+        }
+    }
+
+    fn note_declaration(&self, name: &str, fields: &Fields) {
+        let Some(id) = fields.id else { return };
+        let (kind, begins) = match name {
+            "declare_subscriber" => (peers::Kind::Subscriber, true),
+            "undeclare_subscriber" => (peers::Kind::Subscriber, false),
+            _ if fields.mode == "Final" => (peers::Kind::Interest, false),
+            // zenoh keeps no interest in the present alone.
+            _ if fields.mode == "Current" => return,
+            _ => (peers::Kind::Interest, true),
+        };
+        if !begins {
+            peers::undeclare(kind, id);
+        } else if peers::declare(kind, id) {
+            TOO_MANY_DECLARATIONS.fetch_add(1, Ordering::Relaxed);
+            self.write(false, "a client had more subscriptions than the limit; its connection was closed");
+        }
+    }
+}
+
 impl Subscriber for Forward {
     fn enabled(&self, metadata: &Metadata<'_>) -> bool {
-        metadata.is_event()
-            && (*metadata.level() <= Level::WARN
-                || (*metadata.level() == Level::DEBUG && [ACCEPT, MANAGER].contains(&metadata.target())))
+        let level = *metadata.level();
+        if metadata.is_event() {
+            return level <= Level::WARN
+                || (level == Level::DEBUG && [ACCEPT, MANAGER].contains(&metadata.target()))
+                || (is_counted_trace(metadata) && !is_noise(metadata));
+        }
+        match metadata.target() {
+            // Neither event nor span: zenoh asks whether it should make the span.
+            DEMUX => level == Level::DEBUG,
+            PUBSUB => ["declare_subscriber", "undeclare_subscriber"].contains(&metadata.name()),
+            INTERESTS => metadata.name() == "interest",
+            _ => false,
+        }
+    }
+
+    fn register_callsite(&self, metadata: &'static Metadata<'static>) -> Interest {
+        match self.enabled(metadata) {
+            // Read once, and then perhaps noise.
+            true if is_counted_trace(metadata) => Interest::sometimes(),
+            true => Interest::always(),
+            false => Interest::never(),
+        }
     }
 
     fn event(&self, event: &Event<'_>) {
+        let level = *event.metadata().level();
+        if is_counted_trace(event.metadata()) {
+            return Self::read_trace(event);
+        }
         let mut message = Message::default();
         event.record(&mut message);
-        let level = *event.metadata().level();
         if NOT_ABOUT_US.iter().any(|start| message.0.starts_with(start)) {
             return;
         }
         if level <= Level::WARN {
-            let text = without_source_paths(&message.0);
-            (self.function)(self.context, level == Level::ERROR, text.as_ptr().cast(), text.len());
-            return;
+            return self.write(level == Level::ERROR, &without_source_paths(&message.0));
         }
         let failed = match event.metadata().target() {
             ACCEPT => !message.0.starts_with("New transport link accepted"),
@@ -93,14 +276,29 @@ impl Subscriber for Forward {
         }
     }
 
-    // `enabled` refuses spans, so the functions below are never called.
-    fn new_span(&self, _: &Attributes<'_>) -> Id {
-        Id::from_u64(1)
+    fn new_span(&self, span: &Attributes<'_>) -> Id {
+        let mut fields = Fields::default();
+        span.record(&mut fields);
+        if span.metadata().target() != DEMUX {
+            self.note_declaration(span.metadata().name(), &fields);
+            return Id::from_u64(OTHER);
+        }
+        // zenoh enters the span at once, on this thread.
+        DENIED.set(false);
+        CACHING.set(false);
+        Id::from_u64(if peers::begin_message(&fields.source) { MESSAGE } else { OTHER })
     }
+
+    fn exit(&self, span: &Id) {
+        if span.into_u64() == MESSAGE {
+            NOT_ALLOWED.fetch_add(DENIED.take().into(), Ordering::Relaxed);
+            peers::end_message();
+        }
+    }
+
     fn record(&self, _: &Id, _: &Record<'_>) {}
     fn record_follows_from(&self, _: &Id, _: &Id) {}
     fn enter(&self, _: &Id) {}
-    fn exit(&self, _: &Id) {}
 }
 
 /// # Safety
@@ -113,4 +311,21 @@ pub unsafe extern "C" fn tensormass_zenoh_set_log(function: LogFn, context: *mut
 #[no_mangle]
 pub extern "C" fn tensormass_zenoh_failed_handshakes() -> u64 {
     FAILED_HANDSHAKES.load(Ordering::Relaxed)
+}
+
+/// `tensormass_zenoh_refusals` of the header.
+#[repr(C)]
+pub struct Refusals {
+    not_allowed: u64,
+    too_large: u64,
+    too_many_declarations: u64,
+}
+
+#[no_mangle]
+pub extern "C" fn tensormass_zenoh_refused() -> Refusals {
+    Refusals {
+        not_allowed: NOT_ALLOWED.load(Ordering::Relaxed),
+        too_large: TOO_LARGE.load(Ordering::Relaxed),
+        too_many_declarations: TOO_MANY_DECLARATIONS.load(Ordering::Relaxed),
+    }
 }
