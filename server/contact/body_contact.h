@@ -24,7 +24,7 @@
 /// 1. p is searched in two levels of boxes that are refitted in each step: groups of leaves, leaves of triangles. The
 ///    boxes' members are chosen once, at rest.
 /// 2. The sign of s is that of the angle-weighted pseudonormal at the closest point (Bærentzen, Aanæs 2005).
-/// 3. A node deeper than `reach` is not found. It must be larger than what two surfaces approach in a step.
+/// 3. A node deeper than `reach` is not found.
 /// 4. For contact of a body with itself, triangles that lie within two reaches of the node at rest are left out. So a
 ///    node touches neither its own neighbourhood nor the other side of a thin part.
 /// 5. p is the closest point of the triangles that face the node. At the rim of two blocks that rest on each other, the
@@ -33,10 +33,18 @@
 /// 7. A node that comes to its own body's surface from within does not touch it: a tool has pressed the tissue so thin
 ///    that the node is closer to the other side than the reach, or through it. Contact would push the node out there
 ///    and hold it. A node touches only what it was seen outside of before (NodeSide).
+/// 8. A node that pushed another body in the last step and is behind the facing triangle has sunk in, even where it is
+///    out on the other side of a thin body (remembers_side). It is pushed back to where it entered.
+/// 9. A node that comes through a face in this step touches that face across the gap (passed_face). Otherwise it would
+///    be past a thin body, or deeper than the reach, before any step has seen it touch. It searches along its own way,
+///    so the other body must move less than the reach in a step.
 namespace tensormass::contact {
 
 /// Cosine of the angle up to which two triangles count as parts of one smooth surface: 45°.
 inline constexpr double kSmoothCosine = 0.7;
+
+/// Distance from a triangle up to which a node that comes past its edge still passes through it, in reaches: rounding.
+inline constexpr double kOnFace = 1e-4;
 
 /// Width of the rim in is_inside, as a part of the reach.
 inline constexpr double kRimInReaches = 0.1;
@@ -203,6 +211,96 @@ TM_HOST_DEVICE bool is_inside(const view::StateView<Real>& state, const view::Co
   return any.way.dot(any.way) < margin * margin && normal.dot(nearest.facing.way) < 0;
 }
 
+/// Returns whether a node that pushed another body in the last step is still on the side of the facing triangle from
+/// which it came. Beside that body's rim it is not.
+///
+///   face   outward normal at the facing point, unit length;  way: from there to the node
+template <class Real>
+TM_HOST_DEVICE bool remembers_side(const Vec3<Real>& face, const Vec3<Real>& way) {
+  using std::sqrt;
+  return -face.dot(way) > Real(kSmoothCosine) * sqrt(way.dot(way));
+}
+
+template <class Real>
+TM_HOST_DEVICE bool overlap(const view::AxisBox<Real>& a, const view::AxisBox<Real>& b) {
+  for (int c = 0; c < 3; ++c) {
+    if (!(a.least[c] <= b.most[c] && b.least[c] <= a.most[c])) return false;
+  }
+  return true;
+}
+
+/// Places of rows at the start and at the end of the step, at the velocities as they are stored.
+template <class Real>
+struct StepWay {
+  const view::StateView<Real>& state;
+
+  TM_HOST_DEVICE Vec3<Real> end_of(std::uint32_t row) const {
+    return view::position(state, row) + view::change_ahead_to_end(state, row);
+  }
+  TM_HOST_DEVICE Vec3<Real> start_of(std::uint32_t row) const { return end_of(row) - view::motion_to_end(state, row); }
+  /// Returns the box around the ways of some rows, larger by `margin` [m].
+  TM_HOST_DEVICE view::AxisBox<Real> box_of(const std::uint32_t* rows, int count, Real margin) const {
+    view::AxisBox<Real> box;
+    for (int r = 0; r < count; ++r) {
+      const Vec3<Real> places[3] = {view::position(state, rows[r]), start_of(rows[r]), end_of(rows[r])};
+      for (int i = 0; i < 3; ++i) {
+        for (int c = 0; c < 3; ++c) {
+          const bool first = r == 0 && i == 0;
+          box.least[c] = first ? places[i][c] - margin : minimum(box.least[c], Real(places[i][c] - margin));
+          box.most[c] = first ? places[i][c] + margin : maximum(box.most[c], Real(places[i][c] + margin));
+        }
+      }
+    }
+    return box;
+  }
+};
+
+/// Returns the first point at which a node comes through the surface of another body in this step and gets deeper than
+/// `margin`; way: from there to the node, now. The face must face the node, because a thin body's far side comes
+/// through behind its near side. A triangle counts as moving with the mean of its corners.
+template <class Real>
+TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state,
+                                              const view::ContactView<Real>& contact, const view::TiesView<Real>& ties,
+                                              std::uint32_t vertex, const std::uint32_t* side_groups, Real margin,
+                                              Real reach) {
+  SurfacePoint<Real> found;
+  const std::uint32_t row = contact.surface_rows[vertex];
+  const StepWay<Real> ways{state};
+  const Vec3<Real> own = view::motion_to_end(state, row);
+  if (!(own.dot(own) > margin * margin)) return found;
+  const Vec3<Real> start = ways.start_of(row), x = view::position(state, row);
+  const Vec3<Real> of_vertex = vertex_normal(state, contact, vertex);
+  Real first = 2;
+  const auto consider = [&](std::uint32_t triangle) {
+    const std::uint32_t* rows = contact.triangle_rows + std::size_t{3} * triangle;
+    const Corners<Real> corners{{ways.start_of(rows[0]), ways.start_of(rows[1]), ways.start_of(rows[2])}};
+    Vec3<Real> motion = own;
+    for (int c = 0; c < 3; ++c) motion -= view::motion_to_end(state, rows[c]) / 3;
+    const Vec3<Real> normal = unit<Real>(corners.normal());
+    const Real ahead = normal.dot(motion), gap = normal.dot(start - corners.x[0]);
+    if (!(gap >= 0 && gap + ahead < -margin && normal.dot(of_vertex) < 0)) return;
+    const Real part = -gap / ahead;
+    if (!(part < first)) return;
+    const Vec3<Real> entry = start + motion * part;
+    const auto closest = physics::closest_point_on_triangle(entry, corners.x[0], corners.x[1], corners.x[2]);
+    const Vec3<Real> beside = entry - corners.at(closest.weights);
+    if (beside.dot(beside) > Real(kOnFace * kOnFace) * reach * reach) return;
+    first = part;
+    found = {triangle, closest.feature, closest.weights, x - corners_of(state, contact, triangle).at(closest.weights)};
+  };
+  const view::AxisBox<Real> near = ways.box_of(&row, 1, reach);
+  for (std::uint32_t group = side_groups[0]; group < side_groups[1]; ++group) {
+    if (!overlap(ties.boxes[ties.leaf_count + group], near)) continue;
+    for (std::uint32_t leaf = group * view::kGroupLeaves; leaf < (group + 1) * view::kGroupLeaves; ++leaf) {
+      if (!overlap(ties.boxes[leaf], near)) continue;
+      for (std::uint32_t i = leaf * view::kLeafTriangles; i < (leaf + 1) * view::kLeafTriangles; ++i) {
+        if (ties.leaf_triangles[i] != view::kNoTriangle) consider(ties.leaf_triangles[i]);
+      }
+    }
+  }
+  return found;
+}
+
 /// Returns the stretch of a contact's spring of friction at the velocities as they are stored: the one with which the
 /// step started, less the relative motion across n.
 template <class Real>
@@ -243,28 +341,39 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& sta
   const Real* numbers = ties.side_numbers + std::size_t{view::kSideNumbers} * side;
   view::Tie<Real> tie{{row, row, row, row}, {1, 0, 0, 0}, {}, {}, 0, 0};
   const Real reach = numbers[view::kSideReach];
-  const NearestPoints<Real> nearest =
-      nearest_points(state, contact, ties, vertex, ties.side_groups + std::size_t{3} * side, reach);
-  const SurfacePoint<Real>& point = nearest.facing;
-  const bool own = ties.side_groups[std::size_t{3} * side + 2] != 0;
-  if (point.triangle == view::kNoTriangle) {
-    if (own) tie.across = Real(NodeSide::kUnseen);
+  const std::uint32_t* side_groups = ties.side_groups + std::size_t{3} * side;
+  const NearestPoints<Real> nearest = nearest_points(state, contact, ties, vertex, side_groups, reach);
+  SurfacePoint<Real> point = nearest.facing;
+  const bool own = side_groups[2] != 0;
+  const Real before = ties.slips[std::size_t{4} * candidate + 3], begins = numbers[view::kSideDistance];
+  Real depth = 0;
+  Vec3<Real> n = Vec3<Real>::Zero();
+  if (point.triangle != view::kNoTriangle) {
+    const Vec3<Real> face = smooth_normal(state, contact, point.triangle, point.weights);
+    bool inside = is_inside(state, contact, nearest, face, reach);
+    if (own) {
+      if (before == Real(NodeSide::kFromWithin) || (before == Real(NodeSide::kUnseen) && inside)) {
+        tie.across = Real(NodeSide::kFromWithin);
+        return tie;
+      }
+    } else if (before > 0) {
+      inside = inside || remembers_side(face, point.way);
+    }
+    const Real distance = sqrt(point.way.dot(point.way));
+    depth = begins - (inside ? face.dot(point.way) : distance);
+    const bool has_direction = !inside && distance > Real(1e-4) * reach;
+    n = has_direction ? Vec3<Real>(point.way / distance) : face;
+  } else if (own) {
+    tie.across = Real(NodeSide::kUnseen);
     return tie;
   }
-  const Vec3<Real> face = smooth_normal(state, contact, point.triangle, point.weights);
-  const bool inside = is_inside(state, contact, nearest, face, reach);
-  if (own) {
-    const Real before = ties.slips[std::size_t{4} * candidate + 3];
-    if (before == Real(NodeSide::kFromWithin) || (before == Real(NodeSide::kUnseen) && inside)) {
-      tie.across = Real(NodeSide::kFromWithin);
-      return tie;
-    }
+  if (!(depth > 0)) {
+    if (own) return tie;
+    point = passed_face(state, contact, ties, vertex, side_groups, begins, reach);
+    if (point.triangle == view::kNoTriangle) return tie;
+    n = smooth_normal(state, contact, point.triangle, point.weights);
+    depth = begins - n.dot(point.way);
   }
-  const Real distance = sqrt(point.way.dot(point.way));
-  const Real depth = numbers[view::kSideDistance] - (inside ? face.dot(point.way) : distance);
-  if (!(depth > 0)) return tie;
-  const bool has_direction = !inside && distance > Real(1e-4) * reach;
-  const Vec3<Real> n = has_direction ? Vec3<Real>(point.way / distance) : face;
   const Real softer =
       minimum(ties.candidate_modulus[candidate], contact.triangle_moduli[std::size_t{2} * point.triangle]);
   tie.stiffness =

@@ -176,6 +176,7 @@ class EdgeSearch {
   TM_HOST_DEVICE EdgeSearch(const view::StateView<Real>& state, const view::TiesView<Real>& ties,
                             std::uint32_t candidate)
       : state_(state),
+        ways_{state},
         ties_(ties),
         edges_(ties.edges),
         edge_(edges_.candidates[std::size_t{2} * candidate]),
@@ -189,7 +190,7 @@ class EdgeSearch {
       const Real partner = before_.slot(slot)[view::kEdgePartner];
       if (partner > 0) consider(static_cast<std::uint32_t>(partner) - 1, true);
     }
-    const view::AxisBox<Real> near = box_of_way();
+    const view::AxisBox<Real> near = ways_.box_of(edges_.rows + std::size_t{4} * edge_, 2, side_[view::kSideReach]);
     for (std::uint32_t group = groups_[0]; group < groups_[1]; ++group) {
       if (!overlap(ties_.boxes[ties_.leaf_count + group], near)) continue;
       for (std::uint32_t leaf = group * view::kGroupLeaves; leaf < (group + 1) * view::kGroupLeaves; ++leaf) {
@@ -207,34 +208,6 @@ class EdgeSearch {
   }
 
  private:
-  TM_HOST_DEVICE static bool overlap(const view::AxisBox<Real>& a, const view::AxisBox<Real>& b) {
-    for (int c = 0; c < 3; ++c) {
-      if (!(a.least[c] <= b.most[c] && b.least[c] <= a.most[c])) return false;
-    }
-    return true;
-  }
-  /// A row at the end of the step, at the velocities as they are stored, and at its start.
-  TM_HOST_DEVICE Vec3<Real> end_of(std::uint32_t row) const {
-    return view::position(state_, row) + view::change_ahead_to_end(state_, row);
-  }
-  TM_HOST_DEVICE Vec3<Real> start_of(std::uint32_t row) const { return end_of(row) - view::motion_to_end(state_, row); }
-  /// Returns the box around the edge's way in this step, larger by the reach.
-  TM_HOST_DEVICE view::AxisBox<Real> box_of_way() const {
-    const std::uint32_t* rows = edges_.rows + std::size_t{4} * edge_;
-    const Real reach = side_[view::kSideReach];
-    view::AxisBox<Real> box;
-    for (int end = 0; end < 2; ++end) {
-      const Vec3<Real> places[3] = {view::position(state_, rows[end]), start_of(rows[end]), end_of(rows[end])};
-      for (int i = 0; i < 3; ++i) {
-        for (int c = 0; c < 3; ++c) {
-          const bool first = end == 0 && i == 0;
-          box.least[c] = first ? places[i][c] - reach : minimum(box.least[c], Real(places[i][c] - reach));
-          box.most[c] = first ? places[i][c] + reach : maximum(box.most[c], Real(places[i][c] + reach));
-        }
-      }
-    }
-    return box;
-  }
   template <class Position>
   TM_HOST_DEVICE Crossing<Real> crossing_at(std::uint32_t other, const Position& position) const {
     return crossing_of(sharp_edge<Real>(edges_.rows + std::size_t{4} * edge_, position),
@@ -269,8 +242,8 @@ class EdgeSearch {
     const Real way = along_normal(other, middle, [&](std::uint32_t row) { return view::motion_to_end(state_, row); });
     const Real passed = Real(kPassInDepths) * new_depth;
     if (!(-way > passed)) return;
-    const Crossing<Real> before = crossing_at(other, [&](std::uint32_t row) { return start_of(row); });
-    const Crossing<Real> after = crossing_at(other, [&](std::uint32_t row) { return end_of(row); });
+    const Crossing<Real> before = crossing_at(other, [&](std::uint32_t row) { return ways_.start_of(row); });
+    const Crossing<Real> after = crossing_at(other, [&](std::uint32_t row) { return ways_.end_of(row); });
     if (!(before.gap >= 0 && after.gap < -passed)) return;
     if (touches) {
       touches_.add(other, now);
@@ -278,8 +251,8 @@ class EdgeSearch {
     }
     const Real part = before.gap / (before.gap - after.gap);
     Crossing<Real> on_the_way = crossing_at(other, [&](std::uint32_t row) {
-      const Vec3<Real> from = start_of(row);
-      return Vec3<Real>(from + (end_of(row) - from) * part);
+      const Vec3<Real> from = ways_.start_of(row);
+      return Vec3<Real>(from + (ways_.end_of(row) - from) * part);
     });
     if (!(on_the_way.share > 0)) return;
     on_the_way.gap = along_normal(other, on_the_way, [&](std::uint32_t row) { return view::position(state_, row); });
@@ -287,6 +260,7 @@ class EdgeSearch {
   }
 
   const view::StateView<Real>& state_;
+  const StepWay<Real> ways_;
   const view::TiesView<Real>& ties_;
   const view::EdgesView<Real>& edges_;
   std::uint32_t edge_;
@@ -335,10 +309,12 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_touch(const view::StateView<Real>& state, 
 /// Returns the number of those.
 ///
 ///   change_made(row) -> Vec3   motion of a row since the ties were made
+///   count_force(before, after) is called for each pair with its normal forces before and after the step [N]
 ///   deepest                    grows to the depth of the deepest [m]
-template <class Real, class ChangeMade>
+template <class Real, class ChangeMade, class CountForce>
 TM_HOST_DEVICE Real end_edge_contacts(const view::StateView<Real>& state, const view::TiesView<Real>& ties,
-                                      std::uint32_t candidate, const ChangeMade& change_made, Real& deepest) {
+                                      std::uint32_t candidate, const ChangeMade& change_made,
+                                      const CountForce& count_force, Real& deepest) {
   const view::EdgesView<Real>& edges = ties.edges;
   const RememberedPairs<Real> before(edges, candidate);
   const Real friction = friction_of(ties, edges.candidates[std::size_t{2} * candidate + 1]);
@@ -349,6 +325,7 @@ TM_HOST_DEVICE Real end_edge_contacts(const view::StateView<Real>& state, const 
     const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
     const Real pressure = tie.stiffness > 0 ? n.dot(force_after(tie, change_made)) : Real(0);
     Real after[view::kEdgeMemory] = {};
+    count_force(before.of(other)[view::kEdgeForce], maximum(pressure, Real(0)));  // kNoEntry + 1 is a free slot, 0
     if (pressure > 0) {
       count += 1;
       deepest = maximum(deepest, pressure / tie.stiffness);

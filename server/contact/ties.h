@@ -149,17 +149,20 @@ template <class Team, class Real>
 TM_HOST_DEVICE void measure_ties(Team& team, const view::StateView<Real>& state, const view::TiesView<Real>& ties) {
   const bool saves = state.control->saves_checkpoint != 0;
   const auto change_made = [&](std::uint32_t row) { return view::change_made_to_end(state, row); };
-  Real deepest[1] = {0}, counts[2] = {0, 0};  // counts: contacts, broken springs
+  Real deepest[1] = {0}, counts[4] = {0, 0, 0, 0};  // contacts, broken springs, TieReport::pressed_n and changed_n
+  const auto count_force = [&](Real before, Real after) {
+    counts[2] += maximum(before, after);
+    counts[3] += maximum(before, after) - minimum(before, after);
+  };
   if (ties.candidate_count > 0) {
     team.for_each(ties.patch_candidates[team.patch()], ties.patch_candidates[team.patch() + 1], [&](std::uint32_t i) {
       const view::Tie<Real>& tie = ties.ties[i];
       const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
       const Real pressure = tie.stiffness > 0 ? n.dot(force_after(tie, change_made)) : Real(0);
-      if (ties.slips != nullptr) {
-        const Real friction = friction_of(ties, ties.candidates[std::size_t{2} * i + 1]);
-        const std::size_t slip = std::size_t{4} * i;
-        end_contact_friction(state, tie, friction, pressure, ties.slips + slip, ties.checkpoint_slips + slip);
-      }
+      const std::size_t slip = std::size_t{4} * i;
+      count_force(maximum(ties.slips[slip + 3], Real(0)), maximum(pressure, Real(0)));
+      end_contact_friction(state, tie, friction_of(ties, ties.candidates[std::size_t{2} * i + 1]), pressure,
+                           ties.slips + slip, ties.checkpoint_slips + slip);
       if (!(pressure > 0)) return;
       counts[0] += 1;
       deepest[0] = maximum(deepest[0], pressure / tie.stiffness);
@@ -167,8 +170,9 @@ TM_HOST_DEVICE void measure_ties(Team& team, const view::StateView<Real>& state,
   }
   if (ties.edges.candidate_count > 0) {
     const std::uint32_t* begin = ties.edges.patch_candidates + team.patch();
-    team.for_each(begin[0], begin[1],
-                  [&](std::uint32_t i) { counts[0] += end_edge_contacts(state, ties, i, change_made, deepest[0]); });
+    team.for_each(begin[0], begin[1], [&](std::uint32_t i) {
+      counts[0] += end_edge_contacts(state, ties, i, change_made, count_force, deepest[0]);
+    });
   }
   if (ties.spring_count > 0) {
     team.for_each(ties.patch_springs[team.patch()], ties.patch_springs[team.patch() + 1], [&](std::uint32_t i) {
@@ -183,7 +187,7 @@ TM_HOST_DEVICE void measure_ties(Team& team, const view::StateView<Real>& state,
     });
   }
   team.patch_reduce(deepest, counts);
-  if (team.leads_patch()) ties.reports[team.patch()] = {counts[0], deepest[0], counts[1]};
+  if (team.leads_patch()) ties.reports[team.patch()] = {counts[0], deepest[0], counts[1], counts[2], counts[3]};
 }
 
 }  // namespace tensormass::contact

@@ -173,16 +173,9 @@ struct Ties {
   std::uint32_t edge_slot_count() const { return edge_candidate_count() * view::kEdgeSlots; }
   std::uint32_t count() const { return candidate_count() + spring_count() + edge_slot_count(); }
   std::uint32_t leaf_count() const { return static_cast<std::uint32_t>(leaf_triangles.size() / view::kLeafTriangles); }
-  /// Returns whether contacts remember something from step to step (view::TiesView::slips): friction, on which side
-  /// of its own body's surface a node is, or which edges touch.
-  bool contacts_remember() const {
-    if (edge_candidate_count() > 0) return true;
-    for (std::size_t side = 0; side < side_groups.size() / 3; ++side) {
-      if (side_groups[3 * side + 2] != 0 || side_numbers[side * view::kSideNumbers + view::kSideFriction] > 0)
-        return true;
-    }
-    return false;
-  }
+  /// Returns whether contacts remember something from step to step (view::TiesView::slips): the force with which a node
+  /// pushed, friction, on which side of its own body's surface a node is, or which edges touch.
+  bool contacts_remember() const { return candidate_count() > 0; }
 };
 
 /// Free bodies whose momentum each step balances (view/balance.h), and the patches that have rows of them.

@@ -16,11 +16,15 @@
 /// of the patches, so that it repeats bitwise.
 namespace tensormass::solver {
 
+/// Change of contact forces in a step, as a share of them, after which BDF2 starts anew.
+inline constexpr double kContactJump = 0.1;
+
 struct StepResult {
   std::uint32_t cg_iterations = 0;  ///< sum over all solves of the step
   double cg_relative_residual = 0;  ///< after the last solve
   bool negative_curvature = false;
   bool finite = true;
+  bool bodies_jumped = false;  ///< forces between bodies changed by more than kContactJump of them
   double max_speed_m_per_s = 0;
   double max_move_m = 0;        ///< largest move of a node from the checkpoint
   double max_distance_m = 0;    ///< largest distance of a node from rest
@@ -54,11 +58,15 @@ struct StepResult {
 /// Adds what the ties of all patches did.
 template <class Real>
 void read_ties(std::span<const view::TieReport<Real>> patches, StepResult& result) {
+  double pressed_n = 0, changed_n = 0;
   for (const auto& patch : patches) {
     result.touching_nodes += static_cast<std::uint32_t>(patch.contacts);
     result.deepest_contact_m = std::max(result.deepest_contact_m, static_cast<double>(patch.deepest_m));
     result.broken_springs += static_cast<std::uint32_t>(patch.broken);
+    pressed_n += static_cast<double>(patch.pressed_n);
+    changed_n += static_cast<double>(patch.changed_n);
   }
+  result.bodies_jumped = changed_n > kContactJump * pressed_n;
 }
 
 /// Takes the largest error of the free bodies. A body on which nothing acts has none.

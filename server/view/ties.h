@@ -41,6 +41,8 @@ struct TieReport {
   Real contacts;   // nodes that touch a surface, and pairs of edges that touch
   Real deepest_m;  // largest penetration
   Real broken;     // springs that have broken so far
+  Real pressed_n;  // sum of normal forces of contacts, each the larger of before and after the step
+  Real changed_n;  // sum of what they changed by
 };
 
 /// Numbers of a side in TiesView::side_numbers.
@@ -118,8 +120,8 @@ struct TiesView {
   const std::uint32_t* side_groups;       // [side, 3] first group of boxes, last + 1, 1 if the nodes are of that body
   const Real* side_numbers;               // [side, kSideNumbers]
   Real* slips;  // [candidate_count, 4] stretch of the spring of friction [m]; 4th: normal force [N], or where the node
-                // was (contact::NodeSide). At the end of the last step; nullptr: nothing is remembered. Then what
-                // pairs of edges remember (EdgesView::memory)
+                // was (contact::NodeSide). At the end of the last step. Then what pairs of edges remember
+                // (EdgesView::memory)
   Real* checkpoint_slips;
 
   // Springs, grouped by the patch of their first row.

@@ -31,8 +31,6 @@ constexpr double kWeightOfRecovery = 4, kStuckS = 0.2;
 constexpr double kBetweenLooksS = 0.05;
 /// Parts of the finest retry while a hand feels tissue. Its tools back off sooner than a hand can wait for more.
 constexpr std::uint32_t kMostPartsForAHand = 2;
-/// Change of a tool's force from step to step, as a share of it, after which BDF2 starts anew.
-constexpr double kContactJump = 0.1;
 
 }  // namespace
 
@@ -330,7 +328,7 @@ bool World::touches(std::span<const backend::ToolForce> forces) {
 
 /// Whether a tool's force changed by more than a share of itself.
 bool World::jumps(const Vec3<double>& from_n, const Vec3<double>& to_n) {
-  return (to_n - from_n).norm() > kContactJump * std::max(to_n.norm(), from_n.norm());
+  return (to_n - from_n).norm() > solver::kContactJump * std::max(to_n.norm(), from_n.norm());
 }
 
 /// Whether BDF2 makes a step as its first one, by implicit Euler, after one in which contact jumped. It would take the
@@ -448,7 +446,7 @@ BoundCheck World::make_parts(const Retry& how, bool projects_stiffness, std::uin
       return {};
     }
     StepEnergy energy{.available_j = energy_.available_j()};
-    trial_jumped_ = false;
+    trial_jumped_ = last_.bodies_jumped;
     for (std::size_t i = 0; i < tools_.size(); ++i) {
       const auto& [shape, load] = touches_[i];
       trial_jumped_ = trial_jumped_ || jumps(load.force_n, forces_[i].force_n);

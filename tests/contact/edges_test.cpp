@@ -232,7 +232,6 @@ TEST(EdgeTies, AreOnlyThoseOfSharpEdges) {
   const model::Model smooth = tests::compile_into(scene, 1, matrix::Storage::kEdges);
   EXPECT_EQ(smooth.ties.edge_candidate_count(), 0u);
   EXPECT_TRUE(smooth.ties.edge_rows.empty() && smooth.ties.triangle_edges.empty());
-  EXPECT_FALSE(smooth.ties.contacts_remember());
 }
 
 }  // namespace

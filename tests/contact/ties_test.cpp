@@ -333,7 +333,8 @@ TEST_P(Bodies, HangFromAttachmentsThatTear) {
   EXPECT_EQ(torn->last().broken_springs, 0u) << "a reset mends it";
 }
 
-/// Newton's method finds the same rest as one linearized solve a step, in float as in double.
+/// Newton's method finds the same rest as one linearized solve a step, in float as in double, but for what friction
+/// keeps of the way there: a few percent of what the upper block sinks by.
 TEST_P(Bodies, RestAlikeWithEverySolver) {
   std::vector<double> heights;
   for (const bool newton : {false, true}) {
@@ -355,7 +356,8 @@ TEST_P(Bodies, RestAlikeWithEverySolver) {
       heights.push_back(mean_of_layer(*world, 1, 2 * kSizeM + 0.001)[1]);
     }
   }
-  for (const double height : heights) EXPECT_NEAR(height, heights.front(), 2e-5);
+  const double sinks_m = 2 * kSizeM + 0.001 - heights.front();
+  for (const double height : heights) EXPECT_NEAR(height, heights.front(), 0.07 * sinks_m);
 }
 
 TM_ON_EACH_BACKEND(Bodies);

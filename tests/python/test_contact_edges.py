@@ -70,6 +70,29 @@ def test_a_ridge_carries_the_bar_that_falls_on_it(
         assert start_m - gap_m - handle.positions("upper")[:, 2].mean() == pytest.approx(0, abs=0.002)
 
 
+@pytest.mark.parametrize("iterations", [1, 20])
+def test_a_bar_on_a_ridge_rests_with_bdf2(server: tm.Server, iterations: int) -> None:
+    """Bars of one cell chattered at 60 Hz by 3.5 times the weight, until BDF2 started anew where forces jump."""
+    scene, held = crossed(yaw=1.2, upper_on_a_ridge=True, gap_m=0.01, cells=(1, 1))
+    scene.fix("upper", np.ones(8, bool), axes="xy")
+    scene.add_body_contact("upper", "lower0", distance_m=5e-4)
+    scene.set_solver(
+        precision="double",
+        integrator="bdf2",
+        newton_max_iterations=iterations,
+        cg_tolerance=1e-9,
+        cg_max_iterations=5000,
+    )
+    scene.set_stepping(dt_s=1 / 60)
+    load_n = []
+    with server.load(scene, lockstep=True) as handle:
+        handle.step(240)
+        for _ in range(30):
+            handle.step()
+            load_n.append(carried_n(handle, "lower0", held))
+    assert load_n == pytest.approx([WEIGHT_N] * 30, rel=1e-3)
+
+
 def test_a_bar_rests_on_two_rails(server: tm.Server) -> None:
     """Only its rims cross the rails. Friction holds it, and each rail carries a part of its weight by the lever."""
     rails_m = (-0.02, 0.03)
