@@ -323,7 +323,7 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
                                       {"scene", request->scene()},
                                       {"reason",
                                        "its client took nothing for limits::kRecordingLease = 10 s, and "
-                                       "another one needed the scene"}});
+                                       "another one records the scene"}});
   }
   if (const RunnerPtr still = scene.lock()) still->stop_recording(started->recording);
   return grpc::Status::OK;
@@ -334,9 +334,7 @@ grpc::Status ControlService::ReplayScene(grpc::ServerContext* context, const v1:
   if (const grpc::Status allowed = permit(context, "ReplayScene", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(long_calls_);
   if (!place) return place.refusal();
-  return answer(
-      registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) { return runner->replay(*request); }),
-      response);
+  return answer(registry_.replay(*request), response);
 }
 
 grpc::Status ControlService::SnapshotScene(grpc::ServerContext* context, const v1::SnapshotSceneRequest* request,

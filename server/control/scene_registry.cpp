@@ -1,5 +1,6 @@
 #include "control/scene_registry.h"
 
+#include <algorithm>
 #include <mutex>
 #include <utility>
 
@@ -86,6 +87,17 @@ Result<v1::AdjustSceneResponse> SceneRegistry::adjust(std::string_view name, con
   const auto promise = admission_.admit(*runner->source());
   if (!promise) return tl::make_unexpected(promise.error());
   return runner->adjust(changes);
+}
+
+Result<v1::ReplaySceneResponse> SceneRegistry::replay(const v1::ReplaySceneRequest& request) {
+  TM_ASSIGN_OR_RETURN(runner, find(request.scene()));
+  const auto adjusts = [](const v1::RecordedEdit& edit) { return edit.has_adjust(); };
+  if (runner->source() == nullptr || std::none_of(request.edits().begin(), request.edits().end(), adjusts)) {
+    return runner->replay(request);
+  }
+  const auto promise = admission_.admit(*runner->source());
+  if (!promise) return tl::make_unexpected(promise.error());
+  return runner->replay(request);
 }
 
 Result<void> SceneRegistry::unload(std::string_view name) {

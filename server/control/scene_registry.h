@@ -82,6 +82,9 @@ class SceneRegistry {
   /// Changes values of a scene that steps. The scene is compiled again beside itself, so it needs as much as a load and
   /// is admitted like one. Fails with kNotFound, kResourceExhausted, and the errors of world::Runner::adjust.
   Result<v1::AdjustSceneResponse> adjust(std::string_view name, const v1::SceneAdjustments& changes);
+  /// Makes recorded steps again; a recording with adjustments is admitted as they are. Fails with kNotFound,
+  /// kResourceExhausted, and the errors of world::Runner::replay.
+  Result<v1::ReplaySceneResponse> replay(const v1::ReplaySceneRequest& request);
   /// The bounds of what clients may take; messages ask it, too.
   Admission& admission() { return admission_; }
   /// Removes the scene and ends its step. Returns when its loop has ended, unless another owner still holds it.

@@ -14,8 +14,12 @@ inline constexpr int kMaxReplayedSteps = 1000;
 inline constexpr std::size_t kRecordedSteps = 8192;
 /// Checks of a recording that may wait for its reader; each holds a copy of the scene's state. A further check is lost.
 inline constexpr std::size_t kRecordedChecks = 8;
-/// Time in which the reader of a recording must take something. After it, a client that wants to record or adjust the
-/// scene ends the recording.
+/// Edits of a recording that may wait for its reader, and their bytes: a restored snapshot is one. The step after a
+/// further edit is lost, and the stream says so. One edit always fits.
+inline constexpr std::size_t kRecordedEdits = 256;
+inline constexpr std::size_t kMaxRecordedEditBytes = std::size_t{256} << 20;
+/// Time in which the reader of a recording must take something. After it, a client that wants to record the scene ends
+/// the recording.
 inline constexpr std::chrono::milliseconds kRecordingLease{10'000};
 /// Nodes whose displacement a check of a recording contains.
 inline constexpr std::size_t kSampledNodes = 256;

@@ -89,6 +89,22 @@ void Findings::take_diagnostics(const World& world) {
   dissipated_j_.store(world.energy().dissipated_j().value_or(0), kRelaxed);
 }
 
+void Findings::go_on_from(const Findings& other) {
+  unconverged_steps_.store(other.unconverged_steps_.load());
+  guard_events_.store(other.guard_events_.load());
+  guard_recoveries_.store(other.guard_recoveries_.load());
+  recoveries_.store(other.recoveries_.load());
+  recovering_steps_.store(other.recovering_steps_.load());
+  held_steps_.store(other.held_steps_.load());
+  recovering_.store(other.recovering_.load());
+  was_recovering_ = other.was_recovering_;
+  window_steps_ = other.window_steps_;
+  window_repeated_ = other.window_repeated_;
+  repeated_.store(other.repeated_.load());
+  const std::scoped_lock lock(event_mutex_, other.event_mutex_);
+  last_event_ = other.last_event_;
+}
+
 void Findings::clear() {
   for (auto* count : {&cg_iterations_, &newton_iterations_, &touching_nodes_, &broken_springs_}) {
     count->store(0, kRelaxed);

@@ -33,6 +33,8 @@ class Findings {
   bool take_step(const World& world);
   /// Loop: takes the results of the last World::diagnose.
   void take_diagnostics(const World& world);
+  /// Goes on counting where the findings of another loop of the same scene ended. That one takes no more steps.
+  void go_on_from(const Findings& other);
   /// Loop: forgets everything, because the scene was reset.
   void clear();
   /// Any thread: adds values, findings and warnings.

@@ -38,8 +38,16 @@ Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start
     status_.set_state(v1::SceneStatus::STATE_PAUSED);
     outputs_.release_tools();
   }
+  if (start.before) {
+    status_.go_on_from(start.before->status_);
+    outputs_.go_on_from(start.before->outputs_);
+    expiry_ = start.before->expiry_;
+  }
   outputs_.publish(true);
+  const std::lock_guard lock(mutex_);  // the thread waits for it, and so does not step before the edit is recorded
   thread_ = std::thread([this] { run(); });
+  recording_ = start.recording;
+  if (recording_ && start.edit) recording_->take_edit({start.edit, world_->step_count()});
 }
 
 Loop::~Loop() {
@@ -62,7 +70,7 @@ Result<void> Loop::submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseS
   return {};
 }
 
-void Loop::know_clients_of(Loop& other) {
+void Loop::take_clients_of(Loop& other) {
   TM_ASSERT(inboxes_.size() == other.inboxes_.size(), "loops of the same scene have the same tools");
   for (std::size_t i = 0; i < inboxes_.size(); ++i) inboxes_[i].go_on_from(other.inboxes_[i]);
 }
@@ -349,7 +357,7 @@ Result<v1::SceneStatus> Loop::do_reset() {
   budget_.clear();
   world_->set_cg_limit(budget_.limit());
   next_diagnostics_ = 0;
-  if (recording_) recording_->take_reset();
+  if (recording_) recording_->take_edit({std::make_shared<const Edit>(Reset{}), 0});
   go_on_from_new_state();
   return status_.make();
 }

@@ -12,6 +12,7 @@
 #include <mutex>
 #include <new>
 #include <optional>
+#include <span>
 #include <string_view>
 #include <thread>
 #include <vector>
@@ -63,6 +64,10 @@ class Loop {
   /// How a loop begins, if it goes on where another one ended.
   struct Start {
     bool paused = false;
+    /// The loop before it, which has handed over and steps no more.
+    std::shared_ptr<const Loop> before = nullptr;
+    std::shared_ptr<Recording> recording = nullptr;
+    EditPointer edit = nullptr;  ///< what the change was, for the recording
     std::shared_ptr<FrameCount> frames_published = std::make_shared<FrameCount>(0);
     std::shared_ptr<StepStatistics> statistics = std::make_shared<StepStatistics>();
     std::shared_ptr<SceneCounts> counts = std::make_shared<SceneCounts>();
@@ -91,8 +96,9 @@ class Loop {
   const LoopStatus& status() const { return status_; }
   Result<const model::BodyModel*> find_body(std::string_view name) const;
   Result<void> submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source);
-  /// Goes on from what another loop of the same scene knows of clients that send poses.
-  void know_clients_of(Loop& other);
+  /// Goes on from what another loop of the same scene knows of clients that send poses, and from their newest poses.
+  /// From here on no pose may go to the other one.
+  void take_clients_of(Loop& other);
   void count_malformed_pose() { status_.count_malformed_pose(); }
   /// Returns false if the loop should have turned at least `late` ago: a step or a command hangs. A loop that waits for
   /// a command, or for a step that is not due, is well.
@@ -135,8 +141,8 @@ class Loop {
   Result<StartedRecording> do_record(const RecordingOptions& options);
   /// Ends a recording, if it is still this one.
   Result<void> do_stop_recording(const std::shared_ptr<Recording>& recording);
-  /// Makes recorded steps; see ReplayScene.
-  Result<v1::ReplaySceneResponse> do_replay(const Replay& replay);
+  /// Makes recorded steps; see ReplayScene. Their edits are done before, by the caller.
+  Result<v1::ReplaySceneResponse> do_replay(std::span<const Replay::Step> steps);
   Result<LoopState> do_save();
   struct Kept {
     LoopState state;
@@ -145,16 +151,17 @@ class Loop {
   };
   /// As `do_save`, but refuses a loop that was cancelled: its last step may have ended midway.
   Result<Kept> do_keep();
-  Result<v1::SceneStatus> do_restore(const LoopState& state);
+  /// edit: the Restore that brought the state.
+  Result<v1::SceneStatus> do_restore(const LoopState& state, EditPointer edit);
 
   struct HandedOver {
     LoopState state;
     Start start;
   };
-  /// Stops stepping and returns the state, from which another loop goes on.
+  /// Stops stepping and returns the state, from which another loop goes on. The recording leaves this one.
   Result<HandedOver> do_hand_over();
-  /// Steps again, because the other loop could not be made.
-  Result<void> do_go_on();
+  /// Steps again, because the other loop could not be made. recording: as it was handed over.
+  Result<void> do_go_on(std::shared_ptr<Recording> recording);
 
  private:
   using State = LoopStatus::State;
@@ -192,7 +199,6 @@ class Loop {
   void stop_with_fault(std::string reason);
   void stop_for_device(const std::exception& failure);
   Result<void> require_state() const;
-  Result<void> require_not_recorded(std::string_view change);
   tl::unexpected<Error> unload_error(std::string_view left) const;
   /// Ends a recording whose reader is stuck.
   void drop_abandoned_recording();

@@ -41,6 +41,8 @@ class LoopOutputs {
 
   // -- the loop's thread; these read the world ------------------------------------------------------------------------
 
+  /// Goes on counting where other outputs of the same scene ended.
+  void go_on_from(const LoopOutputs& other) { frames_replaced_.fetch_add(other.frames_replaced_.load()); }
   /// Copies step, time and tool readings from the world.
   void take_step(Clock::time_point began);
   /// Zeroes force, torque and stiffness of every tool: a scene that does not step must not push anyone's hand.

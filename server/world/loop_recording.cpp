@@ -38,17 +38,12 @@ Result<void> Loop::do_stop_recording(const std::shared_ptr<Recording>& recording
   return {};
 }
 
-Result<v1::ReplaySceneResponse> Loop::do_replay(const Replay& replay) {
-  if (!model_.lockstep) {
-    return fail(
-        ErrorCode::kFailedPrecondition,
-        fmt::format("scene '{}' runs by the clock; load it with stepping.lockstep to replay steps", model_.name));
-  }
+Result<v1::ReplaySceneResponse> Loop::do_replay(std::span<const Replay::Step> steps) {
+  TM_ASSERT(model_.lockstep, "read_replay refuses a scene that runs by the clock");
   v1::ReplaySceneResponse response;
-  for (const Replay::Step& step : replay.steps) {
+  for (const Replay::Step& step : steps) {
     const auto unloaded = [&] { return unload_error(fmt::format("step {} was not replayed", step.index)); };
     if (cancelled_.load(std::memory_order_relaxed)) return unloaded();
-    if (step.reset) (void)do_reset();
     TM_RETURN_IF_ERROR(status_.require_not_faulted());
     if (step.step != world_->step_count() + 1) {
       return fail(ErrorCode::kFailedPrecondition,
@@ -61,7 +56,7 @@ Result<v1::ReplaySceneResponse> Loop::do_replay(const Replay& replay) {
       if (recording_) recording_->take_pose(tool, received);
     }
     const Clock::time_point begin = Clock::now();
-    const bool last = &step == &replay.steps.back();
+    const bool last = &step == &steps.back();
     const bool good =
         make_step(lockstep_frame_due(begin, last), step.diagnosed ? Diagnostics::kNow : Diagnostics::kNever);
     if (cancelled_.load(std::memory_order_relaxed)) return unloaded();
@@ -99,35 +94,29 @@ void Loop::drop_abandoned_recording() {
   recording_.reset();
 }
 
-/// Refuses what a recording cannot hold. change: what no step has as its input.
-Result<void> Loop::require_not_recorded(std::string_view change) {
-  drop_abandoned_recording();
-  if (!recording_) return {};
-  return fail(ErrorCode::kFailedPrecondition,
-              fmt::format("scene '{}' is being recorded, and no step has {} as its input; end the recording first",
-                          model_.name, change));
-}
-
 Result<Loop::HandedOver> Loop::do_hand_over() {
-  TM_RETURN_IF_ERROR(require_not_recorded("a change of the scene"));
   TM_ASSIGN_OR_RETURN(state, do_save());
   handed_over_ = true;
-  return HandedOver{std::move(state),
-                    {status_.state() == v1::SceneStatus::STATE_PAUSED, outputs_.frames_published(),
-                     status_.statistics(), status_.counts()}};
+  Start start{.paused = status_.state() == v1::SceneStatus::STATE_PAUSED,
+              .frames_published = outputs_.frames_published(),
+              .statistics = status_.statistics(),
+              .counts = status_.counts()};
+  start.recording = std::move(recording_);
+  return HandedOver{std::move(state), std::move(start)};
 }
 
-Result<void> Loop::do_go_on() {
+Result<void> Loop::do_go_on(std::shared_ptr<Recording> recording) {
   handed_over_ = false;
+  recording_ = std::move(recording);
   clock_.restart(Clock::now());
   return {};
 }
 
-Result<v1::SceneStatus> Loop::do_restore(const LoopState& state) {
-  TM_RETURN_IF_ERROR(require_not_recorded("a restored state"));
+Result<v1::SceneStatus> Loop::do_restore(const LoopState& state, EditPointer edit) {
   budget_.clear();
   world_->restore(state.world);
   next_diagnostics_ = state.next_diagnostics;
+  if (recording_) recording_->take_edit({std::move(edit), state.world.step_count});
   go_on_from_new_state();
   return status_.make();
 }

@@ -42,6 +42,11 @@ class LoopStatus {
   void set_fault(std::string reason);
   /// Clears a fault and all findings of a scene that was reset. The state stays: set_state changes it.
   void clear();
+  /// Goes on counting where another status of the same scene ended.
+  void go_on_from(const LoopStatus& other) {
+    malformed_poses_.fetch_add(other.malformed_poses_.load());
+    findings_.go_on_from(other.findings_);
+  }
   /// Takes what World::step found, also if the guard stopped the scene.
   /// A status is due if a recovery began or ended.
   void take_step(const World& world) {

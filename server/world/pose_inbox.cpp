@@ -67,6 +67,13 @@ void PoseInbox::go_on_from(PoseInbox& other) {
   next_client_ = other.next_client_;
   claim_ = other.claim_;
   taken_ = other.taken_;
+  received_.fetch_add(other.received());
+  rejected_.fetch_add(other.rejected());
+  superseded_.fetch_add(other.superseded());
+  if (const ReceivedPose* newest = other.newest_.take()) {
+    newest_.writing() = *newest;
+    newest_.publish();
+  }
 }
 
 Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose& message, PoseSource source,

@@ -49,7 +49,8 @@ class PoseInbox {
   /// first.
   Clock::time_point newest_arrival() const { return Clock::time_point(Clock::duration(newest_arrival_.load())); }
 
-  /// Takes over what another inbox of the same tool knows of clients: sequences and claims. Counts start again.
+  /// Takes over what another inbox of the same tool has: sequences and claims of clients, counts, and the newest pose
+  /// if nobody took it. Nobody may take from the other one any more.
   void go_on_from(PoseInbox& other);
 
   std::uint64_t received() const { return received_.load(std::memory_order_relaxed); }

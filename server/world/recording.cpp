@@ -21,7 +21,9 @@ Recording::Recording(const model::Model& model, const RecordingOptions& options)
       steps_(options.room_for_steps),
       // A step has at most one pose a tool, so where a step has room its poses have it too.
       poses_(std::max<std::size_t>(1, model.tools.size()) * options.room_for_steps),
-      checks_(options.room_for_checks) {
+      checks_(options.room_for_checks),
+      edits_(options.room_for_edits) {
+  coming_edits_.reserve(kMaxEditsOfStep + 1);  // so that taking one cannot fail
   for (const model::ToolModel& tool : model.tools) {
     tool_names_.push_back(tool.name);
     tool_joints_.push_back(tool.joints.size());
@@ -34,25 +36,40 @@ void Recording::take_pose(std::size_t tool, const ReceivedPose& received) {
   has_coming_[tool] = true;
 }
 
-void Recording::take_reset() {
-  coming_reset_ = true;
-  std::fill(has_coming_.begin(), has_coming_.end(), false);
+void Recording::take_edit(DoneEdit done) {
+  if (!std::holds_alternative<Adjust>(*done.edit)) std::fill(has_coming_.begin(), has_coming_.end(), false);
+  add_edit(coming_edits_, std::move(done));
+}
+
+/// Whether the rings take the coming step with its edits.
+bool Recording::has_room_for_step() const {
+  if (steps_.room() == 0 || edits_.room() < coming_edits_.size()) return false;
+  std::size_t coming = 0;
+  for (const DoneEdit& done : coming_edits_) coming += bytes_of(*done.edit);
+  const std::size_t waiting = edit_bytes_.load(std::memory_order_relaxed);
+  return coming == 0 || waiting == 0 || waiting + coming <= limits::kMaxRecordedEditBytes;
 }
 
 void Recording::end_step(const StepEnd& end) {
   const std::uint64_t index = index_.load(std::memory_order_relaxed) + 1;
   const auto poses = static_cast<std::size_t>(std::count(has_coming_.begin(), has_coming_.end(), true));
-  if (steps_.room() > 0) {
+  if (has_room_for_step()) {
+    const auto edits = static_cast<std::uint32_t>(coming_edits_.size());
+    for (DoneEdit& done : coming_edits_) {
+      edit_bytes_.fetch_add(bytes_of(*done.edit), std::memory_order_relaxed);
+      edits_.back() = std::move(done);
+      edits_.push();
+    }
     for (std::size_t tool = 0; tool < coming_.size(); ++tool) {
       if (!has_coming_[tool]) continue;
       poses_.back() = {tool, coming_[tool]};
       poses_.push();
     }
-    steps_.back() = {end, index, static_cast<std::uint32_t>(poses), coming_reset_};
+    steps_.back() = {end, index, static_cast<std::uint32_t>(poses), edits};
     steps_.push();
   }
   std::fill(has_coming_.begin(), has_coming_.end(), false);
-  coming_reset_ = false;
+  coming_edits_.clear();
   index_.store(index, std::memory_order_release);
 }
 
@@ -91,19 +108,36 @@ void Recording::add_lost(std::uint64_t next, v1::RecordSceneResponse& response) 
   lost.set_count(count);
 }
 
+/// Moves the edits of a step into the message and returns their bytes.
+std::size_t Recording::add_edits(const Step& step, v1::RecordedStep& out, v1::RecordSceneResponse& response) {
+  std::size_t bytes = 0;
+  out.set_edits(step.edits);
+  for (std::uint32_t i = 0; i < step.edits; ++i) {
+    DoneEdit* done = edits_.front();
+    TM_ASSERT(done != nullptr, "edits are pushed before their step");
+    write_edit(step.index, *done, *response.add_edits());
+    if (std::holds_alternative<Reset>(*done->edit)) out.set_reset(true);
+    bytes += bytes_of(*done->edit);
+    done->edit.reset();  // frees the snapshot here, not when the loop comes round to the slot
+    edits_.pop();
+  }
+  edit_bytes_.fetch_sub(bytes, std::memory_order_relaxed);
+  return bytes;
+}
+
 bool Recording::take(v1::RecordSceneResponse& response) {
   response.Clear();
+  std::size_t edit_bytes = 0;
   taken_.store(std::chrono::steady_clock::now(), std::memory_order_relaxed);
   // Before the rings: what the loop did before it closed is in them then.
   const bool ended = closed();
   while (const Step* step = steps_.front()) {
-    if (response.steps_size() == kMostSteps) break;
+    if (response.steps_size() == kMostSteps || edit_bytes >= kMostEditBytes) break;
     add_lost(step->index, response);
     read_index_ = step->index;
     v1::RecordedStep& out = *response.add_steps();
     out.set_index(step->index);
     out.set_step(step->end.step);
-    out.set_reset(step->reset);
     out.set_cg_iteration_limit(step->end.cg_limit);
     out.set_diagnosed(step->end.diagnosed);
     out.set_rejected(step->end.rejected);
@@ -115,6 +149,7 @@ bool Recording::take(v1::RecordSceneResponse& response) {
       write_pose(tool_names_[pose->tool], pose->received, tool_joints_[pose->tool], *out.add_poses());
       poses_.pop();
     }
+    edit_bytes += add_edits(*step, out, response);
     steps_.pop();
   }
   if (ended && steps_.front() == nullptr) {

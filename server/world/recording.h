@@ -15,6 +15,7 @@
 #include "model/model.h"
 #include "tensormass/v1/control.pb.h"
 #include "tensormass/v1/recording.pb.h"
+#include "world/edits.h"
 #include "world/ring.h"
 #include "world/tool.h"
 
@@ -22,15 +23,18 @@
 ///
 ///     loop's thread                              rings                     reader (a thread of gRPC)
 ///
-///     take_pose, take_reset ─> end_step ───────> steps, poses   ───┐
-///     check_due ─> copy of the state ──────────> checks         ───┴──> take: messages, hashes
+///     take_pose, take_edit ──> end_step ───────> steps, poses, edits ─┐
+///     check_due ─> copy of the state ──────────> checks         ────┴─> take: messages, hashes
 ///
 /// The loop never waits. A step that finds no room in a ring is lost, and the reader learns it from the gap in the
 /// indices. The loop allocates nothing for a step. For a check it copies the state, as GetFields does; the reader
 /// hashes the copy.
 ///
+/// Edits come between two steps, and belong to the step that follows. The recording stays when an adjustment replaces
+/// the loop: the layout and the tools do not change.
+///
 /// A scene has one recording. A reader looks for steps all the time, so one that has not for the length of a lease is
-/// stuck: its client takes no bytes. Whoever needs the scene then evicts it.
+/// stuck: its client takes no bytes. Whoever wants to record then evicts it.
 namespace tensormass::world {
 
 struct RecordingOptions {
@@ -38,6 +42,7 @@ struct RecordingOptions {
   bool reset = false;                   ///< resets the scene first
   std::size_t room_for_steps = limits::kRecordedSteps;
   std::size_t room_for_checks = limits::kRecordedChecks;
+  std::size_t room_for_edits = limits::kRecordedEdits;
   std::chrono::milliseconds lease = limits::kRecordingLease;
 };
 
@@ -57,8 +62,8 @@ class Recording {
 
   /// Takes a target that the coming step takes. The last one for a tool counts.
   void take_pose(std::size_t tool, const ReceivedPose& received);
-  /// The scene was reset; poses of steps that did not come are dropped.
-  void take_reset();
+  /// An edit was done. Poses of steps that did not come are dropped if the state is another one now.
+  void take_edit(DoneEdit done);
   void end_step(const StepEnd& end);
   /// Says whether the state after the last step must be checked.
   bool check_due() const { return check_every_ > 0 && index_.load(std::memory_order_relaxed) % check_every_ == 0; }
@@ -74,8 +79,8 @@ class Recording {
   // -- the reader's thread --------------------------------------------------------------------------------------------
 
   bool closed() const { return closed_.load(std::memory_order_acquire); }
-  /// Fills `response` with what came since the last call, at most kMostSteps steps. Returns false if there is nothing.
-  /// After `close`, one more false means the end.
+  /// Fills `response` with what came since the last call: at most kMostSteps steps, and after kMostEditBytes of edits
+  /// no further step. Returns false if there is nothing. After `close`, one more false means the end.
   bool take(v1::RecordSceneResponse& response);
   /// Sets what frees the reader when it is evicted. Called on the loop's thread; must not block. Set nothing before
   /// what it uses ends: no call runs after this returns.
@@ -84,13 +89,14 @@ class Recording {
 
   /// Steps in one message.
   static constexpr int kMostSteps = 1000;
+  /// Bytes of edits in one message, after which it ends.
+  static constexpr std::size_t kMostEditBytes = std::size_t{1} << 20;
 
  private:
   struct Step {
     StepEnd end;
     std::uint64_t index = 0;
-    std::uint32_t poses = 0;
-    bool reset = false;
+    std::uint32_t poses = 0, edits = 0;
   };
   struct TakenPose {
     std::size_t tool = 0;
@@ -100,7 +106,9 @@ class Recording {
     std::uint64_t index = 0, step = 0;
     backend::RowState state;
   };
+  bool has_room_for_step() const;
   void add_lost(std::uint64_t next, v1::RecordSceneResponse& response);
+  std::size_t add_edits(const Step& step, v1::RecordedStep& out, v1::RecordSceneResponse& response);
 
   const std::uint32_t check_every_;
   const std::chrono::steady_clock::duration lease_;
@@ -112,12 +120,14 @@ class Recording {
   // The loop's own.
   std::vector<ReceivedPose> coming_;  // [tool]
   std::vector<bool> has_coming_;      // [tool]
-  bool coming_reset_ = false;
+  std::vector<DoneEdit> coming_edits_;
 
   Ring<Step> steps_;
   Ring<TakenPose> poses_;
   Ring<Check> checks_;
-  std::atomic<std::uint64_t> index_{0};  // index of the last step, also if it was lost
+  Ring<DoneEdit> edits_;
+  std::atomic<std::size_t> edit_bytes_{0};  // that wait in the ring
+  std::atomic<std::uint64_t> index_{0};     // index of the last step, also if it was lost
   std::atomic<std::uint64_t> lost_checks_{0};
   std::atomic<bool> closed_{false}, evicted_{false};
   std::atomic<std::chrono::steady_clock::time_point> taken_{std::chrono::steady_clock::now()};  // last `take`

@@ -17,7 +17,6 @@ Result<Replay::Step> read_step(const model::Model& model, const v1::RecordedStep
   Replay::Step out;
   out.index = message.index();
   out.step = message.step();
-  out.reset = message.reset();
   out.diagnosed = message.diagnosed();
   out.rejected = message.rejected();
   TM_ASSIGN_OR_RETURN(limit, model::read_number(message.cg_iteration_limit(), 1, model.cg_max_iterations,
@@ -35,19 +34,45 @@ Result<Replay::Step> read_step(const model::Model& model, const v1::RecordedStep
   return out;
 }
 
+/// Reads the edits before a step. next: the first edit of the request that no step has had; advanced.
+Result<std::vector<EditPointer>> read_edits(const v1::RecordedStep& step, const v1::ReplaySceneRequest& request,
+                                            int& next, const std::string& where) {
+  std::vector<EditPointer> out;
+  for (; next < request.edits_size() && request.edits(next).index() == step.index(); ++next) {
+    TM_ASSIGN_OR_RETURN(edit, read_edit(request.edits(next), fmt::format("edits[{}]", next)));
+    out.push_back(std::move(edit));
+  }
+  if (out.size() != step.edits()) {
+    return invalid(
+        fmt::format("{}.edits: {} edits came before this step when it was recorded, but the request has {} "
+                    "of them; replay with tools of this version or newer",
+                    where, step.edits(), out.size()));
+  }
+  // Recordings did not always have edits.
+  if (out.empty() && step.reset()) out.push_back(std::make_shared<const Edit>(Reset{}));
+  return out;
+}
+
 }  // namespace
 
 Result<Replay> read_replay(const model::Model& model, std::uint64_t scene_hash, const v1::ReplaySceneRequest& request) {
   if (request.scene_hash() != scene_hash) {
+    return fail(ErrorCode::kFailedPrecondition,
+                fmt::format("the recording is of another scene than the loaded '{}', or of other values; load the "
+                            "recorded scene, and adjust it to RecordingStart.adjustments",
+                            model.name));
+  }
+  if (!model.lockstep) {
     return fail(
         ErrorCode::kFailedPrecondition,
-        fmt::format("the recording is of another scene than the loaded '{}'; load the recorded scene", model.name));
+        fmt::format("scene '{}' runs by the clock; load it with stepping.lockstep to replay steps", model.name));
   }
   if (request.steps().empty() || request.steps_size() > limits::kMaxReplayedSteps) {
     return invalid(fmt::format("steps: {} are not within [1, limits::kMaxReplayedSteps = {}]", request.steps_size(),
                                limits::kMaxReplayedSteps));
   }
   Replay out;
+  int next_edit = 0;
   for (int i = 0; i < request.steps_size(); ++i) {
     TM_ASSIGN_OR_RETURN(step, read_step(model, request.steps(i), fmt::format("steps[{}]", i)));
     if (i > 0 && step.index != out.steps.back().index + 1) {
@@ -56,7 +81,13 @@ Result<Replay> read_replay(const model::Model& model, std::uint64_t scene_hash, 
     }
     step.checks = std::find(request.check_indices().begin(), request.check_indices().end(), step.index) !=
                   request.check_indices().end();
+    TM_ASSIGN_OR_RETURN(edits, read_edits(request.steps(i), request, next_edit, fmt::format("steps[{}]", i)));
+    step.edits = std::move(edits);
     out.steps.push_back(std::move(step));
+  }
+  if (next_edit != request.edits_size()) {
+    return invalid(fmt::format("edits[{}].index: {} is that of no step after the edits before it", next_edit,
+                               request.edits(next_edit).index()));
   }
   return out;
 }

@@ -1,9 +1,12 @@
 #include "world/runner.h"
 
+#include <algorithm>
 #include <atomic>
 #include <map>
 #include <mutex>
 #include <shared_mutex>
+#include <span>
+#include <variant>
 
 #include <fmt/format.h>
 
@@ -11,6 +14,7 @@
 #include "core/names.h"
 #include "world/adjustments.h"
 #include "world/compiled_scene.h"
+#include "world/edits.h"
 #include "world/fields.h"
 #include "world/hashes.h"
 #include "world/loop.h"
@@ -84,7 +88,22 @@ struct Runner::Impl {
     return held->read([&] { return command(*held); });
   }
 
-  Result<void> replace_loop(const v1::SceneAdjustments& wanted);
+  /// Checks recorded steps against the present scene.
+  Result<Replay> check(const v1::ReplaySceneRequest& request) {
+    const HeldLoop held(*this);
+    return read_replay(held->model(), scene_hash, request);
+  }
+  /// Does an edit of the list in edits.h.
+  Result<v1::SceneStatus> apply(const EditPointer& edit);
+  Result<v1::SceneStatus> apply(const Adjust& adjust, const EditPointer& edit);
+  Result<v1::SceneStatus> apply(const Restore& restore, const EditPointer& edit);
+  Result<v1::SceneStatus> apply(const Reset& reset, const EditPointer& edit);
+  Result<void> replace_loop(const v1::SceneAdjustments& wanted, const EditPointer& edit);
+  /// Values of the scene if it was adjusted, else nullptr. Needs `commands`.
+  const v1::SceneAdjustments* adjusted_values() const {
+    if (!source || adjustments.SerializeAsString() == adjustments_of(source->scene).SerializeAsString()) return nullptr;
+    return &adjustments;
+  }
 
   const v1::SceneReport report;
   const BackendDescription backend;
@@ -92,8 +111,8 @@ struct Runner::Impl {
   const v1::Topology topology;
   std::map<std::string, std::size_t, std::less<>> tool_index;
 
-  std::mutex adjusting;  // one `adjust` at a time; guards adjustments
-  v1::SceneAdjustments adjustments;
+  std::mutex adjusting;                      // one `adjust` at a time
+  v1::SceneAdjustments adjustments;          // written with both `adjusting` and `commands`, read with one of them
   std::atomic<std::uint64_t> adjustment{0};  // counts the loops that were replaced
 
   std::shared_mutex commands;  // exclusive while a loop is replaced; guards scene_hash and signal
@@ -145,9 +164,7 @@ Result<v1::SceneStatus> Runner::step(std::uint32_t count) {
   }
   return impl_->call([count](Loop& loop) { return loop.do_step(count); });
 }
-Result<v1::SceneStatus> Runner::reset() {
-  return impl_->call([](Loop& loop) { return loop.do_reset(); });
-}
+Result<v1::SceneStatus> Runner::reset() { return impl_->apply(std::make_shared<const Edit>(Reset{})); }
 v1::SceneStatus Runner::status() const { return impl_->loop()->status().make(); }
 SceneMetrics Runner::metrics() const {
   const std::shared_ptr<Loop> loop = impl_->loop();
@@ -194,6 +211,7 @@ Result<StartedRecording> Runner::record(const RecordingOptions& options) {
   out.start.set_patch_count(model.layout.patch_count);
   out.start.set_check_every_steps(options.check_every_steps);
   out.start.set_step(started.step);
+  if (const v1::SceneAdjustments* values = impl_->adjusted_values()) *out.start.mutable_adjustments() = *values;
   if (started.state) out.start.set_snapshot(write_snapshot(model, impl_->scene_hash, *started.state));
   out.start.set_server_time_ns(unix_time_ns());
   return out;
@@ -202,11 +220,30 @@ void Runner::stop_recording(const std::shared_ptr<Recording>& recording) {
   (void)impl_->call([&](Loop& loop) { return loop.do_stop_recording(recording); });
 }
 Result<v1::ReplaySceneResponse> Runner::replay(const v1::ReplaySceneRequest& request) {
+  TM_ASSIGN_OR_RETURN(replay, impl_->check(request));
+  // An adjustment replaces the loop, so each part between two edits is a command of its own.
+  v1::ReplaySceneResponse out;
+  std::span<const Replay::Step> left = replay.steps;
+  while (!left.empty()) {
+    for (const EditPointer& edit : left.front().edits) {
+      const auto done = impl_->apply(edit);
+      if (!done) {
+        return fail(done.error().code,
+                    fmt::format("an edit before recorded step {}: {}", left.front().index, done.error().message));
+      }
+    }
+    const auto next =
+        std::find_if(left.begin() + 1, left.end(), [](const Replay::Step& step) { return !step.edits.empty(); });
+    const std::span<const Replay::Step> part(left.begin(), next);
+    TM_ASSIGN_OR_RETURN(response, impl_->call([part](Loop& loop) { return loop.do_replay(part); }));
+    out.mutable_checks()->MergeFrom(response.checks());
+    *out.mutable_status() = std::move(*response.mutable_status());
+    left = left.subspan(part.size());
+  }
   const Impl::HeldLoop loop(*impl_);
-  TM_ASSIGN_OR_RETURN(replay, read_replay(loop->model(), impl_->scene_hash, request));
-  TM_ASSIGN_OR_RETURN(response, loop->call([&] { return loop->do_replay(replay); }));
-  response.set_layout_hash(hash_of_layout(loop->model()));
-  return std::move(response);
+  out.set_layout_hash(hash_of_layout(loop->model()));
+  out.set_scene_hash(impl_->scene_hash);
+  return out;
 }
 Result<v1::SnapshotSceneResponse> Runner::snapshot() {
   const Impl::HeldLoop loop(*impl_);
@@ -214,15 +251,12 @@ Result<v1::SnapshotSceneResponse> Runner::snapshot() {
   v1::SnapshotSceneResponse response;
   response.set_step(state.world.step_count);
   response.set_snapshot(write_snapshot(loop->model(), impl_->scene_hash, state));
+  if (const v1::SceneAdjustments* values = impl_->adjusted_values()) *response.mutable_adjustments() = *values;
+  response.set_scene_hash(impl_->scene_hash);
   return response;
 }
 Result<v1::SceneStatus> Runner::restore(std::string_view snapshot) {
-  const Impl::HeldLoop loop(*impl_);
-  // The scene's own arrays have the sizes that the snapshot must have. A scene whose device failed has none to compare
-  // with.
-  TM_ASSIGN_OR_RETURN(present, loop->read([&] { return loop->do_save(); }));
-  TM_ASSIGN_OR_RETURN(state, read_snapshot(loop->model(), impl_->scene_hash, present.world.history, snapshot));
-  return loop->call([&] { return loop->do_restore(state); });
+  return impl_->apply(std::make_shared<const Edit>(Restore{std::string(snapshot)}));
 }
 
 StateMark Runner::mark() const {
@@ -250,8 +284,7 @@ Result<v1::AdjustSceneResponse> Runner::adjust(const v1::SceneAdjustments& chang
   const std::lock_guard lock(impl_->adjusting);
   TM_ASSIGN_OR_RETURN(wanted, with_changes(impl_->adjustments, changes));
   if (wanted.SerializeAsString() != impl_->adjustments.SerializeAsString()) {
-    TM_RETURN_IF_ERROR(impl_->replace_loop(wanted));
-    impl_->adjustments = std::move(wanted);
+    TM_RETURN_IF_ERROR(impl_->replace_loop(wanted, std::make_shared<const Edit>(Adjust{wanted})));
   }
   v1::AdjustSceneResponse response;
   *response.mutable_status() = status();
@@ -259,9 +292,36 @@ Result<v1::AdjustSceneResponse> Runner::adjust(const v1::SceneAdjustments& chang
   return response;
 }
 
+Result<v1::SceneStatus> Runner::Impl::apply(const EditPointer& edit) {
+  return std::visit([&](const auto& kind) { return apply(kind, edit); }, *edit);
+}
+
+/// Adjusts also to the values that the scene has: a replay needs what that does to the energy balance.
+Result<v1::SceneStatus> Runner::Impl::apply(const Adjust& adjust, const EditPointer&) {
+  if (!source) return fail(ErrorCode::kFailedPrecondition, "the scene was not loaded from a message");
+  const std::lock_guard lock(adjusting);
+  TM_ASSIGN_OR_RETURN(wanted, with_changes(adjustments, adjust.values));
+  TM_RETURN_IF_ERROR(replace_loop(wanted, std::make_shared<const Edit>(Adjust{wanted})));
+  return loop()->status().make();
+}
+
+Result<v1::SceneStatus> Runner::Impl::apply(const Restore& restore, const EditPointer& edit) {
+  const HeldLoop held(*this);
+  // The scene's own arrays have the sizes that the snapshot must have. A scene whose device failed has none to compare
+  // with.
+  TM_ASSIGN_OR_RETURN(own, held->read([&] { return held->do_save(); }));
+  TM_ASSIGN_OR_RETURN(state, read_snapshot(held->model(), scene_hash, own.world.history, restore.snapshot));
+  return held->call([&] { return held->do_restore(state, edit); });
+}
+
+Result<v1::SceneStatus> Runner::Impl::apply(const Reset&, const EditPointer&) {
+  return call([](Loop& loop) { return loop.do_reset(); });
+}
+
 /// Compiles the adjusted scene while the present loop steps. Then takes the present loop's state, and puts a loop that
 /// goes on from it in its place.
-Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted) {
+/// edit: the same values, for a recording.
+Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted, const EditPointer& edit) {
   TM_ASSIGN_OR_RETURN(compiled, compile_scene(adjusted(source->scene, wanted), source->options));
   TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
   world->set_topology_version(topology.version());  // values do not change what clients see of the mesh
@@ -269,17 +329,21 @@ Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted) {
   const std::shared_ptr<Loop> old = loop();
   TM_ASSERT(hash_of_layout(world->model()) == hash_of_layout(old->model()), "values do not change the order of nodes");
   TM_ASSIGN_OR_RETURN(handed_over, old->call([&] { return old->do_hand_over(); }));
+  std::shared_ptr<Loop> next;
   try {
     world->take_over(handed_over.state.world);
+    handed_over.start.before = old;
+    handed_over.start.edit = edit;
+    next = std::make_shared<Loop>(backend.backend, std::move(world), handed_over.start);
   } catch (const std::exception& failure) {
-    (void)old->call([&] { return old->do_go_on(); });
+    (void)old->call([&] { return old->do_go_on(std::move(handed_over.start.recording)); });
     return fail(ErrorCode::kUnavailable, fmt::format("the device failed: {}; the scene is unchanged", failure.what()));
   }
-  const auto next = std::make_shared<Loop>(backend.backend, std::move(world), handed_over.start);
   if (signal) (void)next->call([&] { return next->do_set_signal(signal); });
   scene_hash = compiled.scene_hash;
+  adjustments = wanted;
   const std::lock_guard swap(present_mutex);
-  next->know_clients_of(*old);
+  next->take_clients_of(*old);
   present = next;
   ++adjustment;
   return {};

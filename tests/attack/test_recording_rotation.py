@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "python"))
-from tensormass.v1 import recording_pb2, scene_pb2
+from tensormass.v1 import control_pb2, recording_pb2, scene_pb2
 from tensormass_tools.cli import main
 from tensormass_tools.recording import file as recording_file
 from tensormass_tools.recording import files as recording_files
@@ -113,6 +113,25 @@ def test_snapshot_that_fits_no_step_is_not_used(
     assert len(files.paths) == 2
     assert RecordingReader(files.paths[1]).start.snapshot == b"later"
     assert steps_of(files.paths[1]) == [(1, last.step + 2)]
+
+
+def test_no_file_is_cut_beside_an_edit_but_a_reset(tmp_path: Path) -> None:
+    """The snapshot may be of the state before the edit or after it, and of other values."""
+    path = tmp_path / "a.mcap"
+    values = control_pb2.SceneAdjustments(gravity_m_per_s2=scene_pb2.Vector3(z=-2))
+    cuts = [Cut(4, 0, b"before or after"), Cut(6, 0, b"later", 77, values)]
+    with rotating(path, cuts, max_bytes=1 << 20) as files:
+        fill(files)
+        files.add_step(step(4, 4, 400))
+        files.add_step(step(5, 5, 500), [recording_pb2.RecordedEdit(index=5, step=4, adjust=values)])
+        files.add_step(step(6, 6, 600))
+        files.add_step(step(7, 1, 700, reset=True), [recording_pb2.RecordedEdit(index=7, reset={})])
+    assert steps_of(path) == [(4, 4), (5, 5), (6, 6)]
+    assert steps_of(files.paths[1]) == [(1, 1)]
+    second = RecordingReader(files.paths[1])
+    assert (second.start.scene_hash, second.start.adjustments) == (77, values)
+    assert [e.message.index for e in RecordingReader(path).entries() if e.channel == "/edits"] == [5]
+    assert [e.message.index for e in second.entries() if e.channel == "/edits"] == [1]
 
 
 def test_memory_is_flat_and_only_the_newest_files_stay(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ stopped process          answers nothing                  its keepalive ends aft
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 import signal
 import socket
@@ -99,22 +98,17 @@ class SilentClient:
                     self._socket.sendall(frame(head[3], ACK, 0, payload if head[3] == PING else b""))
 
 
-_NUMBER = itertools.count(1)
-
-
-def gravity() -> control_pb2.SceneAdjustments:
-    """A change. Nothing refuses a call that leaves the gravity as it was."""
-    return control_pb2.SceneAdjustments(gravity_m_per_s2=scene_pb2.Vector3(z=-1e-3 * next(_NUMBER)))
-
-
 def is_recorded(stub: control_pb2_grpc.ControlStub, scene: str) -> bool:
-    """Whether a change of the scene is refused because somebody records it."""
+    """Whether a recording of the scene is refused because somebody else records it. One that begins ends at once."""
+    stream = stub.RecordScene(control_pb2.RecordSceneRequest(scene=scene), timeout=DEADLINE_S)
     try:
-        stub.AdjustScene(control_pb2.AdjustSceneRequest(scene=scene, changes=gravity()), timeout=DEADLINE_S)
+        next(stream)
     except grpc.RpcError as error:
         if "is being recorded" not in (error.details() or ""):
             raise
         return True
+    finally:
+        stream.cancel()
     return False
 
 
@@ -140,10 +134,10 @@ def test_scene_of_a_client_that_fell_silent_is_free_again(server: tm.Server) -> 
         assert stopped.stdout is not None
         assert stopped.stdout.readline() == "records\n"
         assert next(honest).HasField("start")
+        # An edit waits for no recorder.
+        changes = control_pb2.SceneAdjustments(gravity_m_per_s2=scene_pb2.Vector3(z=-1))
+        stub.AdjustScene(control_pb2.AdjustSceneRequest(scene="stopped", changes=changes), timeout=DEADLINE_S)
         wait_until(False, stub, "windowless")
-        another = stub.RecordScene(control_pb2.RecordSceneRequest(scene="windowless"))
-        assert next(another).HasField("start")
-        another.cancel()
         metrics = stub.GetMetrics(control_pb2.GetMetricsRequest()).text
         assert '\ntensormass_recording_losses_total{what="recordings"} 1\n' in metrics
         wait_until(False, stub, "stopped")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,8 @@ def write_recording(
     touching: Iterable[int] = (),
     rejected: Iterable[int] = (),
     recovered: Iterable[int] = (),
+    edits: Mapping[int, recording_pb2.RecordedEdit] | None = None,
+    late_edits: bool = False,
 ) -> Path:
     """Writes a recording with a frame for each of `steps`.
 
@@ -54,8 +56,12 @@ def write_recording(
         touching: sequences of frames in which the tool feels a force.
         rejected: sequences of frames before which a guard stopped the scene.
         recovered: sequences of frames whose step belongs to a recovery.
+        edits: by the sequence of the frame whose step follows; None: as recordings were before they had any, with a
+            flag at each step that is a reset.
+        late_edits: they come after their frame, as steps may.
     """
     recovered = set(recovered)
+    last = -1
     with RecordingWriter(path) as writer:
         writer.add("/scene", scene_pb2.Scene(name="liver"), 1000)
         writer.add("/start", recording_pb2.RecordingStart(scene="liver", backend="cpu", device="test"))
@@ -63,6 +69,12 @@ def write_recording(
             writer.add("/topology", topology)
         writer.flush()
         for sequence, step in enumerate(steps, start=1):
+            if edits is None and step < last:
+                writer.add("/inputs", recording_pb2.RecordedStep(index=sequence, step=step, reset=True))
+            last = step
+            edit = (edits or {}).get(sequence)
+            if edit is not None and not late_edits:
+                writer.add("/edits", edit)
             if sequence in set(rejected):
                 writer.add("/inputs", recording_pb2.RecordedStep(index=sequence, step=step, rejected=True))
             elif recovered:
@@ -75,6 +87,8 @@ def write_recording(
                 )
             force_n = 0.5 if sequence in set(touching) else 0.0
             writer.add("/frames", recorded_frame(step, sequence, force_n))
+            if edit is not None and late_edits:
+                writer.add("/edits", edit)
             if sequence % A_CHUNK == 0:
                 writer.flush()
     return path

@@ -63,6 +63,8 @@ def write(
             time_s = index / RATE_HZ
             time_ns = START_NS + index * 10**9 // RATE_HZ
             if steps:
+                if index == RATE_HZ:
+                    writer.add("/edits", recording_pb2.RecordedEdit(index=index, restore=b"a snapshot"), time_ns)
                 is_reset = index in (1, 2 * RATE_HZ)
                 step = recording_pb2.RecordedStep(
                     index=index, step=index, reset=is_reset, recovered=index in recovered, server_time_ns=time_ns
@@ -100,6 +102,7 @@ def test_the_curves_are_those_of_the_messages(path: Path) -> None:
     np.testing.assert_array_equal(series.missed_deadlines["missed"].values, [2, 4, 6])
     np.testing.assert_allclose(series.rates_hz["reached"].values, RATE_HZ, rtol=1e-6)
     assert series.resets_s == [2.0], "a recording may start with a reset, which is not shown"
+    assert (series.restores_s, series.adjustments_s) == ([1.0], [])
 
 
 def test_a_recovery_is_shown_where_it_begins(path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,6 +65,20 @@ def wait_for_steps(path: Path, count: int, process: subprocess.Popen[str]) -> No
     pytest.fail(f"{path} has not got {count} steps; it said {''.join(process.communicate())}")
 
 
+def wait_for_step(scene: tm.SceneHandle, step: int) -> None:
+    deadline = time.monotonic() + 3 * DEADLINE_S
+    while scene.status().step < step:
+        assert time.monotonic() < deadline, f"the scene does not come to step {step}"
+        time.sleep(0.02)
+
+
+def wait_for_reset(path: Path) -> None:
+    deadline = time.monotonic() + 3 * DEADLINE_S
+    while not any(entry.channel == "/inputs" and entry.message.reset for entry in RecordingReader(path).entries()):
+        assert time.monotonic() < deadline, f"{path} has no reset"
+        time.sleep(0.05)
+
+
 def address_of(process: subprocess.Popen[str]) -> str:
     assert process.stdout is not None
     line = process.stdout.readline()
@@ -82,6 +96,17 @@ def move_at_random(address: str, seed: int, ends: threading.Event) -> None:
         with scene.tool_stream("probe") as poses:
             while not ends.is_set():
                 poses.send(random.uniform([0.03, 0.03, 0.05], [0.07, 0.07, 0.07]))
+                time.sleep(0.004)
+
+
+def press(address: str, ends: threading.Event) -> None:
+    """A client that presses the probe up and down."""
+    with tm.connect(address) as server:
+        poses = server.scene("edited").tool_stream("probe")
+        with poses:
+            begin_s = time.monotonic()
+            while not ends.is_set():
+                poses.send((0.05, 0.05, 0.06 + 0.01 * np.sin(10 * (time.monotonic() - begin_s))))
                 time.sleep(0.004)
 
 
@@ -201,6 +226,65 @@ def test_a_loaded_scene_is_recorded_from_where_it_is(
     assert status == 0
     assert said["checks"] == said["equal_hashes"] >= 5
     assert server.scenes() == []
+
+
+@pytest.mark.parametrize("precision", ["PRECISION_FLOAT", "PRECISION_DOUBLE"])
+def test_edits_are_recorded_and_repeated_to_the_last_bit(
+    precision: str, server: tm.Server, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A scene that was adjusted before is adjusted twice more while its tool moves, restored and reset."""
+    text = BLOCK + f"solver: {{precision: {precision}}}\n"
+    scene_file.write_text(text)
+    path = scene_file.with_name("block.mcap")
+    record = ["record", str(scene_file), "-o", str(path), "--attach", "edited", "--server", server.address]
+    with contextlib.ExitStack() as last:
+        with server.load(tm.Scene.from_yaml(text), name="edited") as scene:
+            scene.adjust(gravity_m_per_s2=(0, 0, -5))
+            process = last.enter_context(
+                subprocess.Popen(
+                    [sys.executable, "-m", "tensormass", *record, "--check-every", "5", "--frames", "--json"],
+                    stdout=subprocess.PIPE,
+                    text=True,
+                )
+            )
+            last.callback(process.kill)
+            ends = threading.Event()
+            hand = threading.Thread(target=press, args=(server.address, ends))
+            try:
+                wait_for_steps(path, 1, process)
+                hand.start()
+                before = scene.status().poses_received
+                scene.adjust(stiffness_factor={"tissue": 3}, rayleigh_mass_per_s={"tissue": 4})
+                wait_for_step(scene, scene.status().step + 40)
+                snapshot = scene.snapshot()
+                scene.adjust(stiffness_factor={"tissue": 0.8})
+                with pytest.raises(tm.FailedPreconditionError, match="or of other values"):
+                    scene.restore(snapshot)
+                scene.adjust(stiffness_factor={"tissue": 3})
+                wait_for_step(scene, scene.restore(snapshot).step + 40)
+                scene.reset()
+                wait_for_step(scene, 40)
+                wait_for_reset(path)
+                assert scene.status().poses_received > before
+            finally:
+                ends.set()
+                if hand.ident is not None:
+                    hand.join()
+        # The recording ends with the scene.
+        said = json.loads(process.communicate(timeout=DEADLINE_S)[0])
+    reader = RecordingReader(path)
+    assert reader.start.adjustments.gravity_m_per_s2.z == -5
+    edits = [entry.message.WhichOneof("edit") for entry in reader.entries() if entry.channel == "/edits"]
+    assert len(edits) == said["edits"]
+    assert edits[0] == "adjust"
+    assert edits[-1] == "reset"
+    assert edits.count("restore") == 1
+    assert edits.count("adjust") in (2, 3)  # two of them may have had no step in between
+    status, said = command("replay", str(path), "--server", server.address, capsys=capsys)
+    assert (status, said["exact"], said["edits"]) == (0, True, len(edits))
+    assert said["equal_hashes"] == said["checks"] > 30
+    assert main(["replay", str(path), "--server", server.address]) == 0
+    assert f" with {len(edits)} edits: " in capsys.readouterr().out
 
 
 def test_another_layout_is_compared_within_a_tolerance(

@@ -11,11 +11,12 @@ from mcap.reader import make_reader
 from recorded_parts import A_CHUNK, STEPS, TOPOLOGY, recorded_frame, write_recording
 
 import tensormass as tm
-from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass.v1 import control_pb2, recording_pb2, scene_pb2, stream_pb2
 from tensormass_gateway.player import Mark
 from tensormass_tools.cli import main
 from tensormass_tools.recording import chunks
 from tensormass_tools.recording import index as recording_index
+from tensormass_tools.recording.edits import TEXTS
 from tensormass_tools.recording.file import RecordingWriter
 from tensormass_tools.recording.index import RecordingIndex
 
@@ -45,6 +46,29 @@ def test_times_count_simulated_time_over_pauses_and_resets(path: Path) -> None:
 def test_a_reset_whose_frame_was_lost_still_takes_its_time(tmp_path: Path) -> None:
     index = RecordingIndex(write_recording(tmp_path / "a.mcap", [100, 30, 40]))
     assert list(index.times_s) == pytest.approx([0, 0.3, 0.4])
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_edits_are_marked_and_a_snapshot_takes_no_time(tmp_path: Path, late: bool) -> None:
+    edits = {
+        2: recording_pb2.RecordedEdit(index=2, step=10, adjust=control_pb2.SceneAdjustments()),
+        4: recording_pb2.RecordedEdit(index=4, step=20, restore=b"a snapshot"),
+        6: recording_pb2.RecordedEdit(index=6, reset=recording_pb2.ResetEdit()),
+    }
+    path = write_recording(tmp_path / "a.mcap", [10, 20, 30, 21, 31, 5, 15], edits=edits, late_edits=late)
+    index = RecordingIndex(path)
+    assert list(index.times_s) == pytest.approx([0, 0.1, 0.2, 0.21, 0.31, 0.36, 0.46])
+    assert [mark.kind for mark in index.marks] == ["adjust", "restore", "reset"]
+
+
+def test_a_reset_at_the_start_of_a_recording_has_no_mark(tmp_path: Path) -> None:
+    edits = {1: recording_pb2.RecordedEdit(index=1, reset=recording_pb2.ResetEdit())}
+    assert RecordingIndex(write_recording(tmp_path / "a.mcap", [1, 2], edits=edits)).marks == []
+
+
+def test_each_edit_of_the_protocol_has_words() -> None:
+    fields = recording_pb2.RecordedEdit.DESCRIPTOR.oneofs_by_name["edit"].fields
+    assert set(TEXTS) == {field.name for field in fields}
 
 
 def test_frames_come_as_they_were_recorded_in_any_order(path: Path) -> None:

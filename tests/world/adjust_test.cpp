@@ -158,14 +158,33 @@ TEST_P(Adjusting, BadValuesChangeNothing) {
   ASSERT_TRUE(runner->step(1));
 }
 
-TEST_P(Adjusting, IsRefusedWhileTheSceneIsRecorded) {
-  const auto runner = load(sagging_beam());
-  const auto recording = runner->record({});
-  ASSERT_TRUE(recording);
-  EXPECT_REFUSED(runner->adjust(stiffness(2)), ErrorCode::kFailedPrecondition, "being recorded");
-  ASSERT_TRUE(runner->step(2));
-  runner->stop_recording(recording->recording);
-  EXPECT_TRUE(runner->adjust(stiffness(2)));
+/// What a status counts, and the newest pose, are of the scene and not of its present loop.
+TEST_P(Adjusting, CountsStepTimesAndTheNewestPoseStay) {
+  v1::Scene scene = tests::block_with_probe(false, 4);
+  scene.mutable_stepping()->set_lockstep(true);
+  const auto runner = load(scene);
+  v1::ToolPose pose;
+  pose.mutable_position_m()->set_y(0.1);
+  ASSERT_TRUE(runner->submit_pose("probe", pose));
+  EXPECT_REFUSED(runner->submit_pose("knife", pose), ErrorCode::kNotFound, "knife");
+  ASSERT_TRUE(runner->step(20));
+  pose.mutable_position_m()->set_x(0.02);
+  ASSERT_TRUE(runner->submit_pose("probe", pose));
+  pose.mutable_position_m()->set_x(0.04);
+  ASSERT_TRUE(runner->submit_pose("probe", pose));
+  const v1::SceneStatus before = runner->status();
+  v1::SceneAdjustments lighter;
+  lighter.mutable_gravity_m_per_s2()->set_y(-1);
+  ASSERT_TRUE(runner->adjust(lighter));
+  const v1::SceneStatus after = runner->status();
+  EXPECT_EQ(after.poses_received(), 3u);
+  EXPECT_EQ(after.poses_superseded(), 1u);
+  EXPECT_EQ(after.poses_rejected(), before.poses_rejected());
+  EXPECT_EQ(after.step_time_p99_s(), before.step_time_p99_s());
+  EXPECT_GT(after.step_time_p50_s(), 0);
+  EXPECT_GE(after.frames_published() + after.frames_replaced(), before.frames_published() + before.frames_replaced());
+  ASSERT_TRUE(runner->step(200));
+  EXPECT_NEAR(runner->feedback("probe")->position_m().x(), 0.04, 1e-9) << "a pose that no step had taken";
 }
 
 TEST_P(Adjusting, AHandKeepsItsToolAndItsSequence) {

@@ -133,9 +133,10 @@ TEST(ARecording, AllocatesNothingForAStep) {
   const auto model = model::compile(scene, backend->patch_policy(model::requested_cpu_threads(scene)));
   ASSERT_TRUE(model);
   Recording recording(*model, {.room_for_steps = 16});
+  const auto reset = std::make_shared<const Edit>(Reset{});
   const std::uint64_t before = allocations.load();
   for (int i = 0; i < 40; ++i) {  // the last ones find no room
-    if (i == 10) recording.take_reset();
+    if (i == 10) recording.take_edit({reset, 0});
     recording.take_pose(0, {});
     recording.end_step({});
   }

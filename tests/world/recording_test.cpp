@@ -166,12 +166,58 @@ TEST_F(ARecording, IsAbandonedByAReaderThatDoesNotLookForALease) {
 TEST_F(ARecording, AResetDropsThePosesOfAStepThatDidNotCome) {
   Recording recording(*model, {});
   recording.take_pose(0, {});
-  recording.take_reset();
+  recording.take_edit({std::make_shared<const Edit>(Reset{}), 0});
   end_steps(recording, 2);
   ASSERT_TRUE(recording.take(response));
   EXPECT_TRUE(response.steps(0).reset());
   EXPECT_EQ(response.steps(0).poses_size(), 0);
+  EXPECT_EQ(response.steps(0).edits(), 1u);
+  ASSERT_EQ(response.edits_size(), 1);
+  EXPECT_EQ(response.edits(0).index(), 1u);
+  EXPECT_TRUE(response.edits(0).has_reset());
   EXPECT_FALSE(response.steps(1).reset());
+}
+
+TEST_F(ARecording, AStepIsLostTogetherWithItsEdits) {
+  Recording recording(*model, {.room_for_edits = 2});
+  for (int i = 0; i < 3; ++i) {
+    recording.take_edit({std::make_shared<const Edit>(Reset{}), 0});
+    end_steps(recording, 1);
+  }
+  end_steps(recording, 1);
+  ASSERT_TRUE(recording.take(response));
+  ASSERT_EQ(response.steps_size(), 3);
+  EXPECT_EQ(response.edits_size(), 2);
+  ASSERT_EQ(response.lost_size(), 1);
+  EXPECT_EQ(response.lost(0).first_index(), 3u);
+  EXPECT_EQ(response.steps(2).index(), 4u);
+  EXPECT_EQ(response.steps(2).edits(), 0u) << "what was lost does not come with a later step";
+}
+
+/// A restored snapshot may be large, so a message ends after one, and few of them wait.
+TEST_F(ARecording, SnapshotsThatWaitHaveABound) {
+  Recording recording(*model, {});
+  const auto restore = [&](std::size_t bytes) {
+    recording.take_edit({std::make_shared<const Edit>(Restore{std::string(bytes, 'x')}), 5});
+    end_steps(recording, 1);
+  };
+  restore(limits::kMaxRecordedEditBytes + 1);
+  end_steps(recording, 1);  // it has no edit, so it has room
+  restore(1);
+  ASSERT_TRUE(recording.take(response));
+  ASSERT_EQ(response.edits_size(), 1) << "the first fits whatever it takes";
+  EXPECT_EQ(response.edits(0).restore().size(), limits::kMaxRecordedEditBytes + 1);
+  EXPECT_EQ(response.edits(0).step(), 5u);
+  EXPECT_EQ(response.steps_size(), 1);
+  restore(Recording::kMostEditBytes);
+  restore(1);
+  ASSERT_TRUE(recording.take(response));
+  ASSERT_EQ(response.lost_size(), 1);
+  EXPECT_EQ(response.lost(0).first_index(), 3u);
+  ASSERT_EQ(response.steps_size(), 2);
+  EXPECT_EQ(response.steps(1).index(), 4u);
+  ASSERT_TRUE(recording.take(response));
+  EXPECT_EQ(response.steps(0).index(), 5u);
 }
 
 }  // namespace

@@ -32,6 +32,7 @@ class Replaying : public tests::OnRunner {
 
   struct Recorded {
     std::vector<v1::RecordedStep> steps;
+    std::vector<v1::RecordedEdit> edits;
     std::vector<v1::StateCheck> checks;
     std::uint64_t lost = 0;
 
@@ -39,6 +40,7 @@ class Replaying : public tests::OnRunner {
       v1::RecordSceneResponse response;
       while (recording.take(response)) {
         steps.insert(steps.end(), response.steps().begin(), response.steps().end());
+        edits.insert(edits.end(), response.edits().begin(), response.edits().end());
         checks.insert(checks.end(), response.checks().begin(), response.checks().end());
         for (const v1::LostSteps& gap : response.lost()) lost += gap.count();
       }
@@ -67,6 +69,9 @@ class Replaying : public tests::OnRunner {
       request.set_scene_hash(start.scene_hash());
       for (std::size_t i = begin; i < std::min(begin + 300, recorded.steps.size()); ++i) {
         *request.add_steps() = recorded.steps[i];
+      }
+      for (const v1::RecordedEdit& edit : recorded.edits) {
+        if (edit.index() > begin && edit.index() <= begin + 300) *request.add_edits() = edit;
       }
       for (const v1::StateCheck& check : recorded.checks) request.add_check_indices(check.index());
       TM_ASSIGN_OR_RETURN(response, runner.replay(request));

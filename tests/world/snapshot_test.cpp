@@ -193,16 +193,6 @@ TEST_P(Snapshots, DamagedOnesAreRefusedAndChangeNothing) {
   EXPECT_EQ(runner->status().step(), 6u);
 }
 
-TEST_P(Snapshots, AreRefusedWhileTheSceneIsRecorded) {
-  const auto runner = load(scene_of(kinds()[0]));
-  const std::string snapshot = take(*runner);
-  const auto started = runner->record({.reset = true});
-  ASSERT_TRUE(started);
-  expect_refused(*runner, snapshot, "is being recorded");
-  runner->stop_recording(started->recording);
-  EXPECT_TRUE(runner->restore(snapshot));
-}
-
 TM_ON_EACH_BACKEND(Snapshots);
 
 /// A content that a correct checksum protects may still be wrong: it comes from outside.

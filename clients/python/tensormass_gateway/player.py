@@ -23,7 +23,7 @@ class Mark(NamedTuple):
 
     time_s: float
     kind: str
-    """contact, guard, recovery, reset or stop"""
+    """adjust, contact, guard, recovery, reset, restore or stop"""
     text: str
 
 

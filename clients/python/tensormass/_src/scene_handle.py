@@ -270,7 +270,7 @@ class SceneHandle:
         Raises:
             NotFoundError: no such file.
             InvalidArgumentError: it is not a snapshot, damaged, or of another version.
-            FailedPreconditionError: it is of another scene, backend or number of threads, or the scene is recorded.
+            FailedPreconditionError: it is of another scene, backend or number of threads, or of other values.
         """
         content = snapshot if isinstance(snapshot, bytes) else _read(Path(snapshot))
         request = control_pb2.RestoreSceneRequest(scene=self.name, snapshot=content)
@@ -302,7 +302,7 @@ class SceneHandle:
         Raises:
             NotFoundError: no such body.
             InvalidArgumentError: a value outside its range.
-            FailedPreconditionError: the scene is being recorded.
+            ResourceExhaustedError: the scene does not fit into memory twice.
         """
         changes = control_pb2.SceneAdjustments()
         if gravity_m_per_s2 is not None:

@@ -31,6 +31,7 @@ from tensormass.v1 import recording_pb2, scene_pb2, stream_pb2
 CHANNELS: dict[str, type[Message]] = {
     "/scene": scene_pb2.Scene,
     "/start": recording_pb2.RecordingStart,
+    "/edits": recording_pb2.RecordedEdit,
     "/inputs": recording_pb2.RecordedStep,
     "/checks": recording_pb2.StateCheck,
     "/lost": recording_pb2.LostSteps,
@@ -45,7 +46,7 @@ MAX_RATIO = 1000
 MAX_SMALL_BYTES = 16 << 20
 #: Bytes of a message in channels whose messages are small; a longer one is damage. Read, a message takes more memory.
 MAX_MESSAGE_BYTES = {"/inputs": 1 << 20, "/checks": 64 << 10, "/lost": 1 << 10, "/status": 1 << 20}
-#: Schemas and channels of a file. We write eight of each.
+#: Schemas and channels of a file. We write nine of each.
 MAX_CHANNELS = 1000
 
 #: Failures of a chunk whose bytes are not those that were written. ValueError: also a wrong checksum.

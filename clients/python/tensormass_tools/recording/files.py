@@ -5,7 +5,8 @@
 
 A full file asks the daemon for a snapshot. Steps go on meanwhile, and come here later than they are made. So the file
 is cut where its steps reach the one of the snapshot, and no step is lost. The number of a step starts again at a reset.
-Two clocks of the server tell such steps apart: the time at which a step ended, and the time before the snapshot.
+Two clocks of the server tell such steps apart: the time at which a step ended, and the time before the snapshot. Beside
+an adjustment or a restore nobody knows which of the two the snapshot was taken before, so it is dropped there.
 
 The index of a file is in memory until the file ends: about 1 KB a chunk. Memory therefore stays flat.
 """
@@ -13,14 +14,14 @@ The index of a file is in memory until the file ends: about 1 KB a chunk. Memory
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
 from google.protobuf.message import Message
 
-from tensormass.v1 import recording_pb2
+from tensormass.v1 import adjustment_pb2, recording_pb2
 from tensormass_tools.recording.file import RecordingWriter
 
 #: Time from a snapshot that fitted no step to the next try [s].
@@ -35,6 +36,10 @@ class Cut(NamedTuple):
     before_ns: int
     """Time of the server before it was taken."""
     snapshot: bytes
+    scene_hash: int = 0
+    """Hash of the scene to which the snapshot belongs. 0: a daemon that knows no other than that of the start."""
+    adjustments: adjustment_pb2.SceneAdjustments | None = None
+    """Values of that scene; None: as they were loaded."""
 
 
 class RecordingFiles:
@@ -90,11 +95,16 @@ class RecordingFiles:
         """Adds a message without an index to the newest file."""
         self._writer.add(channel, message, time_ns)
 
-    def add_step(self, step: recording_pb2.RecordedStep) -> None:
-        """Adds a step, to a new file if one is due."""
+    def add_step(self, step: recording_pb2.RecordedStep, edits: Sequence[recording_pb2.RecordedEdit] = ()) -> None:
+        """Adds a step and the edits before it, to a new file if one is due."""
         if self._cut is not None:
-            self._use(self._cut, step)
+            self._use(self._cut, step, edits)
         self._index, self._step = step.index, step.step
+        for edit in edits:
+            moved = recording_pb2.RecordedEdit()
+            moved.CopyFrom(edit)
+            moved.index -= self._before
+            self._writer.add("/edits", moved, step.server_time_ns)
         shifted = recording_pb2.RecordedStep()
         shifted.CopyFrom(step)
         shifted.index -= self._before
@@ -126,13 +136,13 @@ class RecordingFiles:
         """Writes what is held for too long. Call it often."""
         self._writer.flush_if_due()
 
-    def _use(self, cut: Cut, step: recording_pb2.RecordedStep) -> None:
+    def _use(self, cut: Cut, step: recording_pb2.RecordedStep, edits: Sequence[recording_pb2.RecordedEdit]) -> None:
         """Starts a file before `step` if the snapshot is of the step before it. Drops a snapshot that fits no more."""
-        reached = self._step == cut.step
+        reached = self._step == cut.step and all(edit.HasField("reset") for edit in edits)
         if reached and (step.reset or step.server_time_ns >= cut.before_ns):
             self._next_file(cut)
-        elif reached or step.reset or step.step > cut.step:
-            # The step of the snapshot was lost, or made after a reset.
+        elif reached or edits or step.reset or step.step > cut.step:
+            # The step of the snapshot was lost, or made after an edit.
             self._retry_s = time.monotonic() + RETRY_S
         else:
             return
@@ -147,6 +157,10 @@ class RecordingFiles:
         start = recording_pb2.RecordingStart()
         start.CopyFrom(self._start)
         start.step, start.snapshot, start.server_time_ns = cut.step, cut.snapshot, cut.before_ns
+        start.scene_hash = cut.scene_hash or start.scene_hash
+        start.ClearField("adjustments")
+        if cut.adjustments is not None:
+            start.adjustments.CopyFrom(cut.adjustments)
         path = self._first.with_name(f"{self._first.stem}-{self._count}{self._first.suffix}")
         self._writer = self._open(path, start)
         self.paths.append(path)

@@ -8,7 +8,8 @@ One pass over the file makes the index. It checks every chunk's sum and forgets 
 chunk alone. A file that was cut off or damaged is indexed up to its last whole chunk.
 
 Times of frames count simulated time, so that playing at speed 1 shows tissue as fast as it moved. A pause of the scene
-takes no time, and after a reset the time goes on where it was.
+takes no time, and after a reset or a restored snapshot the time goes on where it was. A snapshot of a later step than
+the scene's takes the time in between.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from tensormass_tools.recording.chunks import (
     chunk_content,
     chunk_places,
 )
+from tensormass_tools.recording.edits import TEXTS
 from tensormass_tools.recording.file import RecordingReader
 
 #: Bytes of chunks that are held, because the next frame is often in the same one. At least one chunk is held.
@@ -119,6 +121,8 @@ class RecordingIndex:
         message = CHANNELS[found.channel].FromString(found.data)
         if isinstance(message, stream_pb2.Topology):
             self.topology = message
+        elif isinstance(message, recording_pb2.RecordedEdit):
+            timeline.take_edit(message)
         elif isinstance(message, recording_pb2.RecordedStep):
             timeline.take_step(message)
         elif isinstance(message, stream_pb2.SceneStatus):
@@ -173,7 +177,10 @@ class _Places:
 
 
 class _Timeline:
-    """Turns simulated times, which start again at a reset, into times that never fall. Notes what happened."""
+    """Turns simulated times, which start again at a reset, into times that never fall. Notes what happened.
+
+    Frames and steps come by two ways, so a frame may come before or after the edit that it shows.
+    """
 
     def __init__(self, times_s: array[float], marks: list[Mark]) -> None:
         self._times_s = times_s
@@ -182,6 +189,10 @@ class _Timeline:
         self._touched_s: dict[str, float] = {}
         self._guard_events: int | None = None
         self._recovering = False
+        # The last frame whose step fell, by its place and its dt, until an edit says why.
+        self._fell: tuple[int, float] | None = None
+        # Step of a restored snapshot that no frame has shown yet.
+        self._restored: int | None = None
 
     def take_frame(self, frame: stream_pb2.Frame) -> None:
         if not math.isfinite(frame.simulated_time_s):
@@ -189,12 +200,18 @@ class _Timeline:
         last = self._last
         now_s = 0.0
         if self._times_s:
-            was_reset = frame.step < last.step
-            passed_s = frame.simulated_time_s - (0.0 if was_reset else last.simulated_time_s)
-            now_s = self._times_s[-1] + max(0.0, passed_s)
+            if frame.step < last.step:
+                dt_s = frame.simulated_time_s / frame.step if frame.step > 0 else 0.0
+                begin_s = 0.0
+                if self._restored is None:
+                    self._fell = (len(self._times_s), dt_s)
+                else:
+                    begin_s = self._restored * dt_s
+                self._restored = None
+            else:
+                begin_s = last.simulated_time_s
+            now_s = self._times_s[-1] + max(0.0, frame.simulated_time_s - begin_s)
             self._times_s.append(now_s)
-            if was_reset:
-                self._mark("reset", "The scene was reset.")
         else:
             self._times_s.append(now_s)
         self._last = stream_pb2.Frame(step=frame.step, simulated_time_s=frame.simulated_time_s)
@@ -204,7 +221,29 @@ class _Timeline:
                     self._mark("contact", f"{tool.tool} touches.")
                 self._touched_s[tool.tool] = now_s
 
+    def take_edit(self, edit: recording_pb2.RecordedEdit) -> None:
+        kind = edit.WhichOneof("edit")
+        if kind is None or (kind == "reset" and edit.index == 1):  # a recording may begin with a reset
+            return
+        self._mark(kind, TEXTS[kind])
+        if kind == "adjust":
+            return
+        fell, self._fell = self._fell, None
+        self._restored = None
+        if kind == "reset":
+            return
+        if fell is None:
+            self._restored = edit.step
+            return
+        at, dt_s = fell
+        passed_s = self._times_s[at] - self._times_s[at - 1]
+        for later in range(at, len(self._times_s)):
+            self._times_s[later] -= min(edit.step * dt_s, passed_s)
+
     def take_step(self, step: recording_pb2.RecordedStep) -> None:
+        if step.reset and step.edits == 0 and step.index > 1:  # the recording has no edits
+            self._fell = None
+            self._mark("reset", TEXTS["reset"])
         if step.rejected:
             self._mark("stop", "A guard stopped the scene.")
         if step.recovered and not self._recovering:

@@ -72,6 +72,8 @@ def draw(series: Series, panels: Mapping[str, Mapping[str, Curve]], notes: Seque
     figure.suptitle(f"{series.scene}: {series.steps} recorded steps", parse_math=False)
     marks = [
         ("reset", "tab:gray", series.resets_s),
+        ("restored", "tab:olive", series.restores_s),
+        ("adjusted", "tab:cyan", series.adjustments_s),
         ("recovers", "tab:purple", series.recoveries_s),
         ("stopped by a guard", "tab:red", series.stops_s),
     ]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import queue
 import threading
 import time
@@ -112,7 +113,7 @@ class Recorder:
         self._handle = handle
         self._queue: queue.Queue[Any] = queue.Queue(_QUEUED)
         self._ends = threading.Event()
-        self.steps = self.recovered = self.checks = self.frames = self.lost = self.lost_checks = 0
+        self.steps = self.recovered = self.checks = self.frames = self.lost = self.lost_checks = self.edits = 0
         self.files: list[str] = [str(args.output)]
         self._due_checks = 0  # each comes after its step, perhaps in a later message, or is counted as lost
 
@@ -124,6 +125,7 @@ class Recorder:
             "files": self.files,
             "steps": self.steps,
             "recovered_steps": self.recovered,
+            "edits": self.edits,
             "checks": self.checks,
             "frames": self.frames,
             "lost_steps": self.lost,
@@ -171,7 +173,8 @@ class Recorder:
         before_ns = self._handle.status().server_time_ns
         request = control_pb2.SnapshotSceneRequest(scene=self._handle.name)
         reply = self._server.call("SnapshotScene", request, timeout_s=LOAD_TIMEOUT_S)
-        return Cut(reply.step, before_ns, reply.snapshot)
+        adjustments = reply.adjustments if reply.HasField("adjustments") else None
+        return Cut(reply.step, before_ns, reply.snapshot, reply.scene_hash, adjustments)
 
     def _write(self, writer: RecordingFiles) -> None:
         begin = next_status_s = time.monotonic()
@@ -263,12 +266,14 @@ class Recorder:
         for gap in item.lost:
             writer.add_lost(gap)
             self.lost += gap.count
+        edits = iter(item.edits)
         for step in item.steps:
-            writer.add_step(step)
+            writer.add_step(step, list(itertools.islice(edits, step.edits)))
             self._due_checks += self._has_check(step)
         for check in item.checks:
             writer.add_check(check)
         self.steps += len(item.steps)
+        self.edits += len(item.edits)
         self.recovered += sum(step.recovered for step in item.steps)
         self.checks += len(item.checks)
         self.lost_checks = item.lost_checks

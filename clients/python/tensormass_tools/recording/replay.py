@@ -23,6 +23,8 @@ from tensormass_tools.recording.file import RecordingReader
 
 # The daemon's own limit is 1000 (server/core/recording_limits.h).
 _STEPS_A_CALL = 250
+# Bytes of edits after which a call ends: a snapshot has its own. The daemon takes 200 MiB by default.
+_EDIT_BYTES_A_CALL = 16 << 20
 
 
 @dataclass
@@ -32,6 +34,7 @@ class Comparison:
     #: Every hash must be equal.
     exact: bool = True
     steps: int = 0
+    edits: int = 0
     equal_hashes: int = 0
     checks: int = 0
     #: Largest difference of a sampled node [m], and the scene's step at which it was.
@@ -75,8 +78,14 @@ def run(args: argparse.Namespace) -> int:
         name = _unique_name(scene.name) if args.server else None
         handle = server.load(scene, name=name, progress=load_line(quiet=args.json))
         try:
+            if recording.start.HasField("adjustments"):
+                changes = recording.start.adjustments
+                request = control_pb2.AdjustSceneRequest(scene=handle.name, changes=changes)
+                server.call("AdjustScene", request, timeout_s=LOAD_TIMEOUT_S)
             if recording.start.snapshot:
                 handle.restore(recording.start.snapshot)
+            else:
+                handle.reset()  # as the recording began; an adjustment leaves another energy balance
             found, ended = _replay(args, recording, server, handle, args.tolerance * largest_m)
         finally:
             handle.unload()
@@ -84,6 +93,7 @@ def run(args: argparse.Namespace) -> int:
         "file": str(args.file),
         "scene": scene.name,
         "steps": found.steps,
+        "edits": found.edits,
         "checks": found.checks,
         "equal_hashes": found.equal_hashes,
         "exact": found.exact,
@@ -115,19 +125,24 @@ def _replay(
     same = version.backend == start.backend and version.device == start.device
     found = Comparison()
     recorded_checks = _Checks(recording)
-    for steps in _batches(recording):
+    scene_hash = start.scene_hash
+    for steps, edits in _batches(recording):
         if steps[0].index != found.steps + 1:
             return found, f"step {found.steps + 1} and others up to {steps[0].index - 1} are lost in the recording"
         checks = recorded_checks.up_to(steps[-1].index)
         request = control_pb2.ReplaySceneRequest(
             scene=handle.name,
-            scene_hash=start.scene_hash,
+            scene_hash=scene_hash,
             steps=steps,
+            edits=edits,
             check_indices=[step.index for step in steps if step.index in checks],
         )
         response = server.call("ReplayScene", request, timeout_s=LOAD_TIMEOUT_S)
         found.exact = same and response.layout_hash == start.layout_hash
         found.steps += len(steps)
+        found.edits += len(edits)
+        # Adjustments change it. Daemons did not always say it, when they knew no adjustments either.
+        scene_hash = response.scene_hash or scene_hash
         for check in response.checks:
             found.take(checks[check.index], check, tolerance_m)
         if found.exact and found.failed:
@@ -155,22 +170,34 @@ class _Checks:
         return out
 
 
-def _batches(recording: RecordingReader) -> Iterator[list[recording_pb2.RecordedStep]]:
-    """Yields the steps of a recording in parts without gaps."""
+def _batches(
+    recording: RecordingReader,
+) -> Iterator[tuple[list[recording_pb2.RecordedStep], list[recording_pb2.RecordedEdit]]]:
+    """Yields the steps of a recording with their edits, in parts without gaps."""
     steps: list[recording_pb2.RecordedStep] = []
+    edits: list[recording_pb2.RecordedEdit] = []
+    coming: list[recording_pb2.RecordedEdit] = []
+    edit_bytes = 0
     for entry in recording.entries():
-        if entry.channel != "/inputs":
-            continue
-        if steps and (len(steps) == _STEPS_A_CALL or entry.message.index != steps[-1].index + 1):
-            yield steps
-            steps = []
-        steps.append(entry.message)
+        if entry.channel == "/edits":
+            coming.append(entry.message)
+            edit_bytes += entry.message.ByteSize()
+        elif entry.channel == "/inputs":
+            full = len(steps) == _STEPS_A_CALL or edit_bytes > _EDIT_BYTES_A_CALL
+            if steps and (full or entry.message.index != steps[-1].index + 1):
+                yield steps, edits
+                steps, edits = [], []
+                edit_bytes = sum(edit.ByteSize() for edit in coming)
+            steps.append(entry.message)
+            edits += [edit for edit in coming if edit.index == entry.message.index]
+            coming = []
     if steps:
-        yield steps
+        yield steps, edits
 
 
 def _lines(summary: dict[str, Any]) -> list[str]:
-    out = [f"replayed {summary['steps']} steps of {summary['scene']}: {summary['checks']} checks"]
+    edits = f" with {summary['edits']} edits" if summary["edits"] else ""
+    out = [f"replayed {summary['steps']} steps of {summary['scene']}{edits}: {summary['checks']} checks"]
     if summary["exact"]:
         out[0] += f", {summary['equal_hashes']} hashes equal"
         if summary["failed_steps"]:

@@ -64,8 +64,10 @@ class Series:
     rates_hz: dict[str, Curve] = field(default_factory=dict)
     residuals: dict[str, Curve] = field(default_factory=dict)
     missed_deadlines: dict[str, Curve] = field(default_factory=dict)
-    #: When the scene was reset, and when a guard stopped it [s].
+    #: When the scene was reset, adjusted and restored, and when a guard stopped it [s].
     resets_s: list[float] = field(default_factory=list)
+    adjustments_s: list[float] = field(default_factory=list)
+    restores_s: list[float] = field(default_factory=list)
     stops_s: list[float] = field(default_factory=list)
     #: When each recovery began [s], and the number of steps in all of them.
     recoveries_s: list[float] = field(default_factory=list)
@@ -91,6 +93,8 @@ class _Reading:
         self._missed: defaultdict[str, _Points] = defaultdict(_Points)
         self._step_ends = _Points()
         self._recovering = False
+        # Edits before the next step.
+        self._edits: list[str | None] = []
 
     def read(self) -> Series:
         take: dict[str, Callable[[float, Any], None]] = {
@@ -102,6 +106,8 @@ class _Reading:
         for channel, message in self._recording.entries():
             if channel == "/lost":
                 series.lost_steps += message.count
+            elif channel == "/edits":
+                self._edits.append(message.WhichOneof("edit"))
             elif channel in take:
                 take[channel](self._time_s(message.server_time_ns), message)
         series.forces_n = _curves(self._frame_forces if series.frames else self._status_forces)
@@ -146,6 +152,9 @@ class _Reading:
         self._step_ends.add(time_s, step.index)
         if step.reset and step.index > 1:  # a recording may begin with a reset
             self._series.resets_s.append(time_s)
+        self._series.adjustments_s += [time_s] * self._edits.count("adjust")
+        self._series.restores_s += [time_s] * self._edits.count("restore")
+        self._edits.clear()
         if step.rejected:
             self._series.stops_s.append(time_s)
         if step.recovered:
