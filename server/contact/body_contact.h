@@ -269,7 +269,6 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
   const Vec3<Real> own = view::motion_to_end(state, row);
   if (!(own.dot(own) > margin * margin)) return found;
   const Vec3<Real> start = ways.start_of(row), x = view::position(state, row);
-  const Vec3<Real> of_vertex = vertex_normal(state, contact, vertex);
   Real first = 2;
   const auto consider = [&](std::uint32_t triangle) {
     const std::uint32_t* rows = contact.triangle_rows + std::size_t{3} * triangle;
@@ -278,7 +277,8 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
     for (int c = 0; c < 3; ++c) motion -= view::motion_to_end(state, rows[c]) / 3;
     const Vec3<Real> normal = unit<Real>(corners.normal());
     const Real ahead = normal.dot(motion), gap = normal.dot(start - corners.x[0]);
-    if (!(gap >= 0 && gap + ahead < -margin && normal.dot(of_vertex) < 0)) return;
+    if (!(gap >= 0 && gap + ahead < -margin)) return;
+    if (!(normal.dot(vertex_normal(state, contact, vertex)) < 0)) return;  // last, because few come so far
     const Real part = -gap / ahead;
     if (!(part < first)) return;
     const Vec3<Real> entry = start + motion * part;

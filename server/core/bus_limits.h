@@ -17,8 +17,9 @@ inline constexpr std::uint32_t kDefaultZenohSessions = 512, kMaxZenohSessions = 
 /// Subscriptions, and interests in others' subscriptions, of one zenoh client; a client with more is disconnected. A
 /// scene with every tool has 19 streams.
 inline constexpr std::uint32_t kMaxZenohDeclarations = 256;
-/// The same of all zenoh clients. When one more comes, the client with most is disconnected.
-inline constexpr std::uint32_t kMaxZenohDeclarationsOfAll = 4096;
+/// The same of all zenoh clients: kDefaultZenohSessions scenes with every tool, and half as many again. When one more
+/// comes, the client with most is disconnected, with keys all connections of its key.
+inline constexpr std::uint32_t kMaxZenohDeclarationsOfAll = 16'384;
 /// Subscriptions of one client at the ZeroMQ publish endpoint; a client with more is disconnected. A scene with every
 /// tool has 19 streams.
 inline constexpr std::size_t kMaxSubscriptionsPerPeer = 64;

@@ -26,10 +26,10 @@ Clock::time_point expiry_of(const ReceivedPose& pose) {
 Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start)
     : world_(std::move(world)),
       model_(world_->model()),
-      inboxes_(model_.tools.size()),
+      inboxes_(start.inboxes ? start.inboxes : std::make_shared<PoseInboxes>(model_.tools.size())),
       budget_(model_),
       outputs_(*world_, start.frames_published, start.counts),
-      status_(model_, std::move(backend), budget_, inboxes_, outputs_, start.statistics, start.counts),
+      status_(model_, std::move(backend), budget_, *inboxes_, outputs_, start.statistics, start.counts),
       clock_(model_.rate_hz),
       hand_(clock_.period()),
       expiry_(model_.tools.size(), Clock::time_point::max()) {
@@ -44,6 +44,7 @@ Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start
     expiry_ = start.before->expiry_;
   }
   outputs_.publish(true);
+  if (start.signal) outputs_.set_signal(start.signal);
   const std::lock_guard lock(mutex_);  // the thread waits for it, and so does not step before the edit is recorded
   thread_ = std::thread([this] { run(); });
   recording_ = start.recording;
@@ -62,17 +63,12 @@ Loop::~Loop() {
 }
 
 Result<void> Loop::submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source) {
-  TM_ASSERT(tool < inboxes_.size(), "a pose is for a tool of the scene");
-  TM_RETURN_IF_ERROR(inboxes_[tool].submit(model_.tools[tool], pose, source));
+  TM_ASSERT(tool < inboxes_->tools.size(), "a pose is for a tool of the scene");
+  TM_RETURN_IF_ERROR(inboxes_->tools[tool].submit(model_.tools[tool], pose, source));
   if (!listens_.load()) return {};
   { const std::lock_guard lock(mutex_); }  // the loop now waits, or has seen the pose
   wake_.notify_one();
   return {};
-}
-
-void Loop::take_clients_of(Loop& other) {
-  TM_ASSERT(inboxes_.size() == other.inboxes_.size(), "loops of the same scene have the same tools");
-  for (std::size_t i = 0; i < inboxes_.size(); ++i) inboxes_[i].go_on_from(other.inboxes_[i]);
 }
 
 void Loop::enqueue(std::function<void()> command) {
@@ -132,7 +128,7 @@ std::size_t Loop::leading_tool() const {
 
 bool Loop::hand_came() const {
   const std::size_t tool = leading_tool();
-  return tool != kNone && hand_.starts(inboxes_[tool].newest_arrival(), clock_.begin());
+  return tool != kNone && hand_.starts(inboxes_->tools[tool].newest_arrival(), clock_.begin());
 }
 
 bool Loop::step_due(Clock::time_point now) const {
@@ -162,8 +158,8 @@ bool Loop::frame_due() {
 
 /// Gives the newest poses to the world.
 void Loop::take_poses() {
-  for (std::size_t i = 0; i < inboxes_.size(); ++i) {
-    const ReceivedPose* newest = inboxes_[i].take();
+  for (std::size_t i = 0; i < inboxes_->tools.size(); ++i) {
+    const ReceivedPose* newest = inboxes_->tools[i].take();
     if (newest == nullptr) continue;
     ReceivedPose received = *newest;
     if (!received.has_joints) received.pose.joint_values = world_->tool_target(i).joint_values;
@@ -352,12 +348,12 @@ Clock::duration Loop::lockstep_frame_interval() const {
   return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / model_.frame_rate_hz));
 }
 
-Result<v1::SceneStatus> Loop::do_reset() {
+Result<v1::SceneStatus> Loop::do_reset(EditPointer edit) {
   world_->reset();
   budget_.clear();
   world_->set_cg_limit(budget_.limit());
   next_diagnostics_ = 0;
-  if (recording_) recording_->take_edit({std::make_shared<const Edit>(Reset{}), 0});
+  if (recording_) recording_->take_edit({std::move(edit), 0});
   go_on_from_new_state();
   return status_.make();
 }
@@ -369,7 +365,7 @@ void Loop::go_on_from_new_state() {
   if (status_.state() == v1::SceneStatus::STATE_FAULTED) {
     set_state(model_.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING);
   }
-  for (PoseInbox& inbox : inboxes_) inbox.take();  // drops poses that were sent before
+  for (PoseInbox& inbox : inboxes_->tools) inbox.take();  // drops poses that were sent before
   std::fill(expiry_.begin(), expiry_.end(), Clock::time_point::max());
   outputs_.take_step(Clock::now());
   status_.take_stamp(outputs_.stamp());

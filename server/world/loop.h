@@ -48,8 +48,9 @@
 ///     the loop           Recording, rings            one reader   nobody                    steps, and the reader sees
 ///     it
 ///
-/// The loop waits for no client, no publisher and no caller: it holds the queue's mutex only to take a command out.
-/// Only the loop's thread touches the world, so the world needs no lock. A step allocates nothing.
+/// The loop waits for no client, no publisher and no caller: it and they hold the queue's mutex only to put a command
+/// in, to take one out and to wake the loop. Only the loop's thread touches the world, so the world needs no lock. A
+/// step allocates nothing.
 namespace tensormass::world {
 
 class Loop {
@@ -67,7 +68,9 @@ class Loop {
     /// The loop before it, which has handed over and steps no more.
     std::shared_ptr<const Loop> before = nullptr;
     std::shared_ptr<Recording> recording = nullptr;
-    EditPointer edit = nullptr;  ///< what the change was, for the recording
+    EditPointer edit = nullptr;                      ///< what the change was, for the recording
+    std::shared_ptr<PoseInboxes> inboxes = nullptr;  ///< nullptr: new ones
+    std::function<void()> signal = nullptr;          ///< as of do_set_signal
     std::shared_ptr<FrameCount> frames_published = std::make_shared<FrameCount>(0);
     std::shared_ptr<StepStatistics> statistics = std::make_shared<StepStatistics>();
     std::shared_ptr<SceneCounts> counts = std::make_shared<SceneCounts>();
@@ -96,16 +99,13 @@ class Loop {
   const LoopStatus& status() const { return status_; }
   Result<const model::BodyModel*> find_body(std::string_view name) const;
   Result<void> submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source);
-  /// Goes on from what another loop of the same scene knows of clients that send poses, and from their newest poses.
-  /// From here on no pose may go to the other one.
-  void take_clients_of(Loop& other);
-  void count_malformed_pose() { status_.count_malformed_pose(); }
+  void count_malformed_pose() { inboxes_->malformed.fetch_add(1, std::memory_order_relaxed); }
   /// Returns false if the loop should have turned at least `late` ago: a step or a command hangs. A loop that waits for
   /// a command, or for a step that is not due, is well.
   bool turns(Clock::time_point now, Clock::duration late) const {
     return now.time_since_epoch().count() - due_by_.load(std::memory_order_relaxed) < late.count();
   }
-  const PoseInbox& inbox(std::size_t tool) const { return inboxes_[tool]; }
+  const PoseInbox& inbox(std::size_t tool) const { return inboxes_->tools[tool]; }
   /// Ends the step at hand and a `do_step` in progress, because nobody will see the scene again.
   void cancel() {
     cancelled_.store(true, std::memory_order_relaxed);
@@ -123,7 +123,8 @@ class Loop {
   Result<v1::SceneStatus> do_resume();
   /// Makes `count` steps of a scene in lockstep or paused; the last one brings a frame and diagnostics.
   Result<v1::SceneStatus> do_step(std::uint32_t count);
-  Result<v1::SceneStatus> do_reset();
+  /// edit: the same, for a recording; made by the caller, because without memory nothing may be half done
+  Result<v1::SceneStatus> do_reset(EditPointer edit);
   Result<v1::Frame> do_frame();
   Result<v1::GetPositionsResponse> do_positions(std::string_view body);
   Result<FieldSource> do_copy_state();
@@ -209,7 +210,7 @@ class Loop {
   const model::Model& model_;
 
   // Shared with other threads.
-  std::deque<PoseInbox> inboxes_;  // [tool]; a deque because an inbox does not move
+  const std::shared_ptr<PoseInboxes> inboxes_;
   IterationBudget budget_;
   LoopOutputs outputs_;
   LoopStatus status_;

@@ -23,7 +23,7 @@ Result<Loop::StartedRecording> Loop::do_record(const RecordingOptions& options) 
   }
   StartedRecording out;
   if (options.reset) {
-    (void)do_reset();
+    (void)do_reset(nullptr);  // nothing records it yet
   } else {
     TM_ASSIGN_OR_RETURN(state, do_save());
     out.state = std::move(state);
@@ -102,6 +102,7 @@ Result<Loop::HandedOver> Loop::do_hand_over() {
               .statistics = status_.statistics(),
               .counts = status_.counts()};
   start.recording = std::move(recording_);
+  start.inboxes = inboxes_;
   return HandedOver{std::move(state), std::move(start)};
 }
 

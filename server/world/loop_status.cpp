@@ -23,7 +23,7 @@ void fill(const DurationCounts& counts, v1::DurationHistogram& out) {
 }  // namespace
 
 LoopStatus::LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget,
-                       const std::deque<PoseInbox>& inboxes, const LoopOutputs& outputs,
+                       const PoseInboxes& inboxes, const LoopOutputs& outputs,
                        std::shared_ptr<StepStatistics> statistics, std::shared_ptr<SceneCounts> counts)
     : model_(model),
       backend_(std::move(backend)),
@@ -83,8 +83,8 @@ v1::SceneStatus LoopStatus::make() const {
   status.set_step_time_p99_s(times.p99_s);
   status.set_step_time_max_s(times.max_s);
   fill(statistics_->times(), *status.mutable_step_times());
-  std::uint64_t received = 0, rejected = malformed_poses_.load(std::memory_order_relaxed), superseded = 0;
-  for (const PoseInbox& inbox : inboxes_) {
+  std::uint64_t received = 0, rejected = inboxes_.malformed.load(std::memory_order_relaxed), superseded = 0;
+  for (const PoseInbox& inbox : inboxes_.tools) {
     received += inbox.received();
     rejected += inbox.rejected();
     superseded += inbox.superseded();

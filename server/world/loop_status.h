@@ -30,9 +30,9 @@ class LoopStatus {
 
   /// backend: its name, as in SceneStatus. All references outlive the status.
   /// statistics, counts: shared with the earlier loops of the scene, so that they count from its load.
-  LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget,
-             const std::deque<PoseInbox>& inboxes, const LoopOutputs& outputs,
-             std::shared_ptr<StepStatistics> statistics, std::shared_ptr<SceneCounts> counts);
+  LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget, const PoseInboxes& inboxes,
+             const LoopOutputs& outputs, std::shared_ptr<StepStatistics> statistics,
+             std::shared_ptr<SceneCounts> counts);
 
   // -- the loop's thread ----------------------------------------------------------------------------------------------
 
@@ -43,10 +43,7 @@ class LoopStatus {
   /// Clears a fault and all findings of a scene that was reset. The state stays: set_state changes it.
   void clear();
   /// Goes on counting where another status of the same scene ended.
-  void go_on_from(const LoopStatus& other) {
-    malformed_poses_.fetch_add(other.malformed_poses_.load());
-    findings_.go_on_from(other.findings_);
-  }
+  void go_on_from(const LoopStatus& other) { findings_.go_on_from(other.findings_); }
   /// Takes what World::step found, also if the guard stopped the scene.
   /// A status is due if a recovery began or ended.
   void take_step(const World& world) {
@@ -79,7 +76,6 @@ class LoopStatus {
   const std::shared_ptr<SceneCounts>& counts() const { return counts_; }
   /// An error that says why the scene stopped, if it did.
   Result<void> require_not_faulted() const;
-  void count_malformed_pose() { malformed_poses_.fetch_add(1, std::memory_order_relaxed); }
   v1::SceneStatus make() const;
 
   // -- the publisher's thread -----------------------------------------------------------------------------------------
@@ -90,12 +86,12 @@ class LoopStatus {
  private:
   const model::Model& model_;
   const std::string backend_;
-  const std::deque<PoseInbox>& inboxes_;
+  const PoseInboxes& inboxes_;
   const LoopOutputs& outputs_;
 
   std::atomic<State> state_;
   std::atomic<bool> due_{true}, device_lost_{false};
-  std::atomic<std::uint64_t> step_count_{0}, malformed_poses_{0}, changes_{0};
+  std::atomic<std::uint64_t> step_count_{0}, changes_{0};
   std::atomic<double> simulated_time_s_{0};
   const std::shared_ptr<StepStatistics> statistics_;
   const std::shared_ptr<SceneCounts> counts_;

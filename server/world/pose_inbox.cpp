@@ -61,21 +61,6 @@ bool PoseInbox::claim(const v1::ToolPose& message, PoseSource source, Clock::tim
   return true;
 }
 
-void PoseInbox::go_on_from(PoseInbox& other) {
-  const std::scoped_lock lock(writers_, other.writers_);
-  clients_ = other.clients_;
-  next_client_ = other.next_client_;
-  claim_ = other.claim_;
-  taken_ = other.taken_;
-  received_.fetch_add(other.received());
-  rejected_.fetch_add(other.rejected());
-  superseded_.fetch_add(other.superseded());
-  if (const ReceivedPose* newest = other.newest_.take()) {
-    newest_.writing() = *newest;
-    newest_.publish();
-  }
-}
-
 Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose& message, PoseSource source,
                                Clock::time_point now) {
   const auto refuse = [&](Error error) {

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <deque>
 #include <mutex>
 #include <string_view>
 
@@ -49,10 +50,6 @@ class PoseInbox {
   /// first.
   Clock::time_point newest_arrival() const { return Clock::time_point(Clock::duration(newest_arrival_.load())); }
 
-  /// Takes over what another inbox of the same tool has: sequences and claims of clients, counts, and the newest pose
-  /// if nobody took it. Nobody may take from the other one any more.
-  void go_on_from(PoseInbox& other);
-
   std::uint64_t received() const { return received_.load(std::memory_order_relaxed); }
   std::uint64_t rejected() const { return rejected_.load(std::memory_order_relaxed); }
   std::uint64_t superseded() const { return superseded_.load(std::memory_order_relaxed); }
@@ -90,6 +87,15 @@ class PoseInbox {
   Latest<ReceivedPose> newest_;
   std::atomic<Clock::rep> newest_arrival_{0};
   std::atomic<std::uint64_t> received_{0}, rejected_{0}, superseded_{0};
+};
+
+/// The inboxes of a scene. An adjustment puts another loop in place of the present one, and both have the same inboxes:
+/// so a pose that is on its way to the old loop reaches the new one.
+struct PoseInboxes {
+  explicit PoseInboxes(std::size_t tool_count) : tools(tool_count) {}
+
+  std::deque<PoseInbox> tools;              ///< [tool]; a deque because an inbox does not move
+  std::atomic<std::uint64_t> malformed{0};  ///< poses of the scene that no inbox could take
 };
 
 }  // namespace tensormass::world

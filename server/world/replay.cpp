@@ -39,6 +39,12 @@ Result<std::vector<EditPointer>> read_edits(const v1::RecordedStep& step, const 
                                             int& next, const std::string& where) {
   std::vector<EditPointer> out;
   for (; next < request.edits_size() && request.edits(next).index() == step.index(); ++next) {
+    if (out.size() == kMaxEditsOfStep) {
+      return invalid(
+          fmt::format("edits[{}]: more than kMaxEditsOfStep = {} before a step; a recording has only those "
+                      "on which something depends",
+                      next, kMaxEditsOfStep));
+    }
     TM_ASSIGN_OR_RETURN(edit, read_edit(request.edits(next), fmt::format("edits[{}]", next)));
     out.push_back(std::move(edit));
   }

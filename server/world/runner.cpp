@@ -88,9 +88,10 @@ struct Runner::Impl {
     return held->read([&] { return command(*held); });
   }
 
-  /// Checks recorded steps against the present scene.
-  Result<Replay> check(const v1::ReplaySceneRequest& request) {
+  /// Checks recorded steps against the present scene. at: number of the adjustment that it has.
+  Result<Replay> check(const v1::ReplaySceneRequest& request, std::uint64_t& at) {
     const HeldLoop held(*this);
+    at = adjustment;
     return read_replay(held->model(), scene_hash, request);
   }
   /// Does an edit of the list in edits.h.
@@ -114,6 +115,7 @@ struct Runner::Impl {
   std::mutex adjusting;                      // one `adjust` at a time
   v1::SceneAdjustments adjustments;          // written with both `adjusting` and `commands`, read with one of them
   std::atomic<std::uint64_t> adjustment{0};  // counts the loops that were replaced
+  std::atomic<bool> cancelled{false};        // nobody will see the scene again
 
   std::shared_mutex commands;  // exclusive while a loop is replaced; guards scene_hash and signal
   std::uint64_t scene_hash;
@@ -176,7 +178,10 @@ SceneMetrics Runner::metrics() const {
   }
   return out;
 }
-void Runner::cancel() { impl_->loop()->cancel(); }
+void Runner::cancel() {
+  impl_->cancelled = true;  // before the loop is looked up: one that takes its place looks at this
+  impl_->loop()->cancel();
+}
 
 Result<v1::Frame> Runner::frame() {
   return impl_->read([](Loop& loop) { return loop.do_frame(); });
@@ -220,13 +225,20 @@ void Runner::stop_recording(const std::shared_ptr<Recording>& recording) {
   (void)impl_->call([&](Loop& loop) { return loop.do_stop_recording(recording); });
 }
 Result<v1::ReplaySceneResponse> Runner::replay(const v1::ReplaySceneRequest& request) {
-  TM_ASSIGN_OR_RETURN(replay, impl_->check(request));
-  // An adjustment replaces the loop, so each part between two edits is a command of its own.
+  std::uint64_t adjustment = 0;
+  TM_ASSIGN_OR_RETURN(replay, impl_->check(request, adjustment));
+  // An adjustment replaces the loop, so each part between two edits is a command of its own. Others may adjust the
+  // scene between two of them.
   v1::ReplaySceneResponse out;
   std::span<const Replay::Step> left = replay.steps;
   while (!left.empty()) {
     for (const EditPointer& edit : left.front().edits) {
+      if (impl_->cancelled) {
+        return fail(ErrorCode::kUnavailable,
+                    fmt::format("scene '{}' is being unloaded; step {} was not replayed", name(), left.front().index));
+      }
       const auto done = impl_->apply(edit);
+      if (done && std::holds_alternative<Adjust>(*edit)) ++adjustment;
       if (!done) {
         return fail(done.error().code,
                     fmt::format("an edit before recorded step {}: {}", left.front().index, done.error().message));
@@ -235,7 +247,12 @@ Result<v1::ReplaySceneResponse> Runner::replay(const v1::ReplaySceneRequest& req
     const auto next =
         std::find_if(left.begin() + 1, left.end(), [](const Replay::Step& step) { return !step.edits.empty(); });
     const std::span<const Replay::Step> part(left.begin(), next);
-    TM_ASSIGN_OR_RETURN(response, impl_->call([part](Loop& loop) { return loop.do_replay(part); }));
+    TM_ASSIGN_OR_RETURN(response, impl_->call([&](Loop& loop) -> Result<v1::ReplaySceneResponse> {
+      if (impl_->adjustment == adjustment) return loop.do_replay(part);
+      return fail(
+          ErrorCode::kFailedPrecondition,
+          fmt::format("scene '{}' was adjusted by another client during the replay; replay from the start", name()));
+    }));
     out.mutable_checks()->MergeFrom(response.checks());
     *out.mutable_status() = std::move(*response.mutable_status());
     left = left.subspan(part.size());
@@ -314,8 +331,8 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Restore& restore, const EditPo
   return held->call([&] { return held->do_restore(state, edit); });
 }
 
-Result<v1::SceneStatus> Runner::Impl::apply(const Reset&, const EditPointer&) {
-  return call([](Loop& loop) { return loop.do_reset(); });
+Result<v1::SceneStatus> Runner::Impl::apply(const Reset&, const EditPointer& edit) {
+  return call([&edit](Loop& loop) { return loop.do_reset(edit); });
 }
 
 /// Compiles the adjusted scene while the present loop steps. Then takes the present loop's state, and puts a loop that
@@ -330,22 +347,25 @@ Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted, cons
   TM_ASSERT(hash_of_layout(world->model()) == hash_of_layout(old->model()), "values do not change the order of nodes");
   TM_ASSIGN_OR_RETURN(handed_over, old->call([&] { return old->do_hand_over(); }));
   std::shared_ptr<Loop> next;
+  v1::SceneAdjustments values;
   try {
+    values = wanted;
     world->take_over(handed_over.state.world);
     handed_over.start.before = old;
     handed_over.start.edit = edit;
+    handed_over.start.signal = signal;
     next = std::make_shared<Loop>(backend.backend, std::move(world), handed_over.start);
   } catch (const std::exception& failure) {
     (void)old->call([&] { return old->do_go_on(std::move(handed_over.start.recording)); });
     return fail(ErrorCode::kUnavailable, fmt::format("the device failed: {}; the scene is unchanged", failure.what()));
   }
-  if (signal) (void)next->call([&] { return next->do_set_signal(signal); });
+  // Nothing from here on can fail: the new loop steps.
   scene_hash = compiled.scene_hash;
-  adjustments = wanted;
+  adjustments.Swap(&values);
   const std::lock_guard swap(present_mutex);
-  next->take_clients_of(*old);
   present = next;
   ++adjustment;
+  if (cancelled) next->cancel();
   return {};
 }
 

@@ -20,8 +20,10 @@ from mcap.reader import make_reader
 from service_parts import BLOCK, DEADLINE_S, block
 
 import tensormass as tm
+from tensormass.v1 import recording_pb2
 from tensormass_tools.cli import main
-from tensormass_tools.recording.file import RecordingReader, RecordingWriter
+from tensormass_tools.recording.file import Entry, RecordingReader, RecordingWriter
+from tensormass_tools.recording.replay import batches
 
 # Two threads share it: see kMinNodesPerThread in cpu_backend.cpp.
 LARGE = BLOCK.replace("cells_x: 5, cells_y: 5, cells_z: 3", "cells_x: 12, cells_y: 12, cells_z: 8")
@@ -229,6 +231,19 @@ def test_a_loaded_scene_is_recorded_from_where_it_is(
 
 
 @pytest.mark.parametrize("precision", ["PRECISION_FLOAT", "PRECISION_DOUBLE"])
+def test_a_replay_holds_no_more_edits_than_a_step_can_have() -> None:
+    class Endless(RecordingReader):
+        def __init__(self) -> None:
+            self.path = Path("endless.mcap")
+
+        def entries(self) -> Iterator[Entry]:
+            while True:
+                yield Entry("/edits", recording_pb2.RecordedEdit(index=7, restore=b"state"))
+
+    with pytest.raises(tm.ResourceExhaustedError, match="more than 3 edits before step 7"):
+        next(batches(Endless()))
+
+
 def test_edits_are_recorded_and_repeated_to_the_last_bit(
     precision: str, server: tm.Server, scene_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -286,6 +286,10 @@ TEST_P(Editing, AReplayRefusesEditsThatDoNotFit) {
   bad.mutable_edits(1)->set_index(7);
   EXPECT_REFUSED(second->replay(bad), ErrorCode::kInvalidArgument, "edits[1].index: 7");
   bad = good;
+  for (std::size_t i = 0; i < kMaxEditsOfStep; ++i) *bad.add_edits() = good.edits(0);
+  bad.mutable_steps(1)->set_edits(kMaxEditsOfStep + 1);
+  EXPECT_REFUSED(second->replay(bad), ErrorCode::kInvalidArgument, "edits[3]: more than kMaxEditsOfStep = 3");
+  bad = good;
   bad.mutable_edits(0)->clear_edit();
   EXPECT_REFUSED(second->replay(bad), ErrorCode::kInvalidArgument, "edits[0]: has no edit");
   EXPECT_EQ(second->status().step(), 0u);
@@ -298,6 +302,35 @@ TEST_P(Editing, AReplayRefusesEditsThatDoNotFit) {
   ASSERT_TRUE(response) << response.error().message;
   EXPECT_EQ(response->scene_hash(), runner->snapshot()->scene_hash());
   EXPECT_REFUSED(second->replay(good), ErrorCode::kFailedPrecondition, "or of other values");
+}
+
+/// An unload cancels the scene, whichever loop steps it by then. Otherwise it would wait for a replay that goes on.
+TEST_P(Editing, ACancelledSceneStaysCancelledWhenItIsAdjusted) {
+  const auto runner = load(scene(false));
+  auto started = runner->record({.check_every_steps = 1, .reset = true});
+  ASSERT_TRUE(started);
+  ASSERT_TRUE(runner->adjust(stiffness(2)));
+  ASSERT_TRUE(runner->step(1));
+  Recorded recorded;
+  recorded.start = started->start;
+  recorded.take_from(*started->recording);
+
+  const auto second = load(scene(false));
+  second->cancel();
+  EXPECT_REFUSED(second->replay(request_of(recorded)), ErrorCode::kUnavailable, "step 1 was not replayed");
+  (void)second->adjust(stiffness(3));
+  EXPECT_REFUSED(second->step(1), ErrorCode::kUnavailable, "0 of 1 steps were done");
+}
+
+/// Poses that clients send while a scene is adjusted reach it, by the inboxes that both loops share.
+TEST_P(Editing, CountsOfPosesGoOn) {
+  const auto runner = load(scene(false));
+  runner->count_malformed_pose();
+  EXPECT_FALSE(runner->submit_pose("scalpel", {}));
+  ASSERT_TRUE(runner->adjust(stiffness(2)));
+  EXPECT_EQ(runner->status().poses_rejected(), 2u);
+  runner->count_malformed_pose();
+  EXPECT_EQ(runner->status().poses_rejected(), 3u);
 }
 
 /// Recordings did not always have edits: a reset was a flag.

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from tensormass import LOAD_TIMEOUT_S, FloatArray, InvalidArgumentError, SceneHandle, Server
+from tensormass import LOAD_TIMEOUT_S, FloatArray, InvalidArgumentError, ResourceExhaustedError, SceneHandle, Server
 from tensormass._shared.processes import end_explained
 from tensormass.v1 import control_pb2, recording_pb2, scene_pb2
 from tensormass_tools.daemon_arguments import daemon_of
 from tensormass_tools.output import load_line, print_json
+from tensormass_tools.recording.edits import MAX_EDITS_OF_STEP
 from tensormass_tools.recording.file import RecordingReader
 
 # The daemon's own limit is 1000 (server/core/recording_limits.h).
@@ -126,7 +127,7 @@ def _replay(
     found = Comparison()
     recorded_checks = _Checks(recording)
     scene_hash = start.scene_hash
-    for steps, edits in _batches(recording):
+    for steps, edits in batches(recording):
         if steps[0].index != found.steps + 1:
             return found, f"step {found.steps + 1} and others up to {steps[0].index - 1} are lost in the recording"
         checks = recorded_checks.up_to(steps[-1].index)
@@ -170,16 +171,23 @@ class _Checks:
         return out
 
 
-def _batches(
+def batches(
     recording: RecordingReader,
 ) -> Iterator[tuple[list[recording_pb2.RecordedStep], list[recording_pb2.RecordedEdit]]]:
-    """Yields the steps of a recording with their edits, in parts without gaps."""
+    """Yields the steps of a recording with their edits, in parts without gaps.
+
+    Raises ResourceExhaustedError if more edits precede a step than a recording has.
+    """
     steps: list[recording_pb2.RecordedStep] = []
     edits: list[recording_pb2.RecordedEdit] = []
     coming: list[recording_pb2.RecordedEdit] = []
     edit_bytes = 0
     for entry in recording.entries():
         if entry.channel == "/edits":
+            if len(coming) == MAX_EDITS_OF_STEP:
+                raise ResourceExhaustedError(
+                    f"{recording.path}: more than {MAX_EDITS_OF_STEP} edits before step {entry.message.index}"
+                )
             coming.append(entry.message)
             edit_bytes += entry.message.ByteSize()
         elif entry.channel == "/inputs":

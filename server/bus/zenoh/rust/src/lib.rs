@@ -306,6 +306,7 @@ pub unsafe extern "C" fn tensormass_zenoh_close(session: *mut Session) {
         return;
     }
     let session = unsafe { Box::from_raw(session) };
+    peers::forget(&session.session);
     if let Err(error) = session.session.close().wait_callbacks().wait() {
         tracing::warn!("closing the session: {error}");
     }

@@ -192,7 +192,8 @@ impl Forward {
                 if refused.is_some_and(|(what, _)| what.starts_with("Declare Liveliness Subscriber")) {
                     CACHING.set(false);
                 }
-                line.contains(" is authorized to ")
+                // A key may hold these words, too.
+                refused.is_none() && line.contains(" is authorized to ")
             }
             RECEIVE => {
                 TOO_LARGE.fetch_add(line.starts_with("Defragmentation buffer full").into(), Ordering::Relaxed);

@@ -38,6 +38,13 @@ pub struct Limits {
     pub of_all: usize,
 }
 
+/// Declarations that a connection may make in its whole life, in multiples of what it may have at once. zenoh keeps
+/// every key that was declared under one number, and ignores an undeclaration that it does not understand, so what a
+/// peer says that it has is not a bound.
+const MOST_EVER: usize = 64;
+/// Peers that are remembered before those without an open connection are forgotten.
+const MOST_REMEMBERED: usize = 2048;
+
 /// Numbers of senders without a certificate: one a connection.
 static NEXT_SENDER: AtomicU64 = AtomicU64::new(1);
 /// Set in the numbers of senders with a certificate: one a name.
@@ -47,41 +54,57 @@ const NAMED: u64 = 1 << 63;
 type Ends = (SocketAddr, SocketAddr);
 
 struct Peer {
+    session: ZenohId,
     sender: u64,
     // One, unless peers have chosen ids that look the same in a span. They share what one may do.
     connections: Vec<Ends>,
     limits: Limits,
     declared: HashSet<(Kind, u32)>,
+    ever: usize,
     closed: bool,
 }
 
 /// By the start of the peer's id, as spans write it.
-static PEERS: LazyLock<Mutex<HashMap<String, Peer>>> = LazyLock::new(Mutex::default);
+type Peers = HashMap<String, Peer>;
+static PEERS: LazyLock<Mutex<Peers>> = LazyLock::new(Mutex::default);
 
 thread_local! {
     static CURRENT: RefCell<String> = const { RefCell::new(String::new()) };
     static SENDER: Cell<u64> = const { Cell::new(0) };
 }
 
-fn lock() -> MutexGuard<'static, HashMap<String, Peer>> {
+fn lock() -> MutexGuard<'static, Peers> {
     PEERS.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
 /// Limits what the peers of a session declare.
 pub fn watch(session: &Session, limits: Limits) -> zenoh::Result<()> {
+    let own = session.zid();
     session
         .info()
         .link_events_listener()
         .history(true)
         .callback(move |event| match event.kind() {
-            SampleKind::Put => join(event.link(), limits),
+            SampleKind::Put => join(event.link(), own, limits),
             SampleKind::Delete => leave(event.link()),
         })
         .background()
         .wait()
 }
 
-fn join(link: &Link, limits: Limits) {
+/// Forgets the peers of a session that ends: zenoh drops its listeners before its connections.
+pub fn forget(session: &Session) {
+    let own = session.zid();
+    lock().retain(|_, peer| peer.session != own);
+}
+
+/// Forgets the peers without an open connection: zenoh does not tell of every end.
+fn forget_ended(peers: &mut Peers) {
+    let open: HashSet<Ends> = connections().map(|(ends, _)| ends).collect();
+    peers.retain(|_, peer| peer.connections.iter().any(|ends| open.contains(ends)));
+}
+
+fn join(link: &Link, session: ZenohId, limits: Limits) {
     let Some(ends) = ends_of(link) else { return };
     let sender = match link.auth_identifier() {
         Some(name) => {
@@ -92,13 +115,19 @@ fn join(link: &Link, limits: Limits) {
         None => NEXT_SENDER.fetch_add(1, Ordering::Relaxed),
     };
     let mut peers = lock();
+    if peers.len() >= MOST_REMEMBERED {
+        forget_ended(&mut peers);
+    }
     let peer = peers.entry(short(link.zid())).or_insert_with(|| Peer {
+        session,
         sender,
         connections: vec![],
         limits,
         declared: HashSet::new(),
+        ever: 0,
         closed: false,
     });
+    peer.closed = false;
     if !peer.connections.contains(&ends) {
         peer.connections.push(ends);
     }
@@ -166,18 +195,27 @@ pub fn declare(kind: Kind, id: u32) -> bool {
         return false;
     }
     peer.declared.insert((kind, id));
+    peer.ever += 1;
     let limits = peer.limits;
-    if peer.declared.len() > limits.of_one {
+    if peer.declared.len() > limits.of_one || peer.ever > MOST_EVER * limits.of_one {
         close(peer);
         return true;
     }
-    if peers.values().map(|peer| peer.declared.len()).sum::<usize>() <= limits.of_all {
+    let all = |peers: &Peers| peers.values().map(|peer| peer.declared.len()).sum::<usize>();
+    if all(&peers) <= limits.of_all {
         return false;
     }
-    match peers.values_mut().filter(|peer| !peer.closed).max_by_key(|peer| peer.declared.len()) {
-        Some(peer) => close(peer),
-        None => return false,
+    forget_ended(&mut peers);
+    if all(&peers) <= limits.of_all {
+        return false;
     }
+    let mut of_senders: HashMap<u64, usize> = HashMap::new();
+    for peer in peers.values() {
+        *of_senders.entry(peer.sender).or_default() += peer.declared.len();
+    }
+    // The sender, not the connection: a certificate may have many.
+    let Some((&largest, _)) = of_senders.iter().max_by_key(|(_, count)| **count) else { return false };
+    peers.values_mut().filter(|peer| peer.sender == largest).for_each(close);
     true
 }
 
@@ -195,17 +233,22 @@ pub fn undeclare(kind: Kind, id: u32) {
 fn close(peer: &mut Peer) {
     peer.closed = true;
     peer.declared.clear();
-    let Ok(files) = std::fs::read_dir("/proc/self/fd") else { return };
-    let numbers: Vec<RawFd> = files.flatten().filter_map(|file| file.file_name().to_str()?.parse().ok()).collect();
-    for number in numbers {
-        // SAFETY: the descriptor is copied before it is used. If it was closed meanwhile there is no copy, and whatever
-        // has its number by then is not a connection with these two ends.
-        let Ok(copy) = unsafe { BorrowedFd::borrow_raw(number) }.try_clone_to_owned() else { continue };
-        let stream = TcpStream::from(copy);
-        if let (Ok(own), Ok(other)) = (stream.local_addr(), stream.peer_addr()) {
-            if peer.connections.contains(&(own, other)) {
-                let _ = stream.shutdown(Shutdown::Both);
-            }
+    for (ends, stream) in connections() {
+        if peer.connections.contains(&ends) {
+            let _ = stream.shutdown(Shutdown::Both);
         }
     }
+}
+
+/// The open connections of this process.
+fn connections() -> impl Iterator<Item = (Ends, TcpStream)> {
+    let files = std::fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
+    let numbers: Vec<RawFd> = files.filter_map(|file| file.file_name().to_str()?.parse().ok()).collect();
+    numbers.into_iter().filter_map(|number| {
+        // SAFETY: the descriptor is copied before it is used. If it was closed meanwhile there is no copy, and whatever
+        // has its number by then has other ends.
+        let copy = unsafe { BorrowedFd::borrow_raw(number) }.try_clone_to_owned().ok()?;
+        let stream = TcpStream::from(copy);
+        Some(((stream.local_addr().ok()?, stream.peer_addr().ok()?), stream))
+    })
 }
