@@ -35,7 +35,7 @@ run_pytest() {
   ((side_by_side <= 1 && (alone <= 1 || alone == 123))) || return 1  # no test: 1, of xargs 123, says that tests failed
   (($(grep -cE '^(FAILED|ERROR) ' "$logs/pytest.log") <= most_run_again)) || return 1
   echo "$again"
-  python -m pytest -q -rfEs --last-failed --last-failed-no-failures none tests
+  python -m pytest -q -rfEsp --last-failed --last-failed-no-failures none tests
 }
 run_vitest() { (cd clients/web && npm run --silent test); }
 run_e2e() { (cd clients/web && npm run --silent e2e); }
@@ -96,7 +96,7 @@ passed_again() {
   case $1 in
     ctest | pytest)
       grep -qx "$again" "$log" || return 0
-      comm -23 <(first_run "$log" | "$1_names") <(last_run "$log" | "$1_names")
+      comm -12 <(first_run "$log" | "$1_names") <(last_run "$log" | "$1_passed")
       ;;
     *) plain "$log" | grep -E '^ *✓ .*\(retry x[0-9]+\)' | sed -E 's/^ *✓ *//' ;;
   esac
@@ -106,6 +106,8 @@ first_run() { sed "/^$again\$/,\$d" "$1"; }
 last_run() { if grep -qx "$again" "$1"; then sed "1,/^$again\$/d" "$1"; else cat "$1"; fi; }
 ctest_failures() { sed -nE 's/^[[:space:]]*[0-9]+ - (.*) \((Failed|Timeout|SEGFAULT|Not Run|.*Abort.*|.*xception.*)\).*/\1: \2/p'; }
 ctest_names() { ctest_failures | sed -E 's/: [^:]*$//' | sort -u; }
+ctest_passed() { sed -nE 's/^ *[0-9]+\/[0-9]+ Test +#[0-9]+: (.*[^.]) \.+ +Passed .*/\1/p' | sort -u; }
+pytest_passed() { sed -nE 's/^PASSED ([^ ]+).*/\1/p' | sort -u; }
 pytest_names() { sed -nE 's/^(FAILED|ERROR) ([^ ]+).*/\2/p' | sort -u; }
 
 suites=("$@")

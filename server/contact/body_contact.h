@@ -238,11 +238,12 @@ struct StepWay {
     return view::position(state, row) + view::change_ahead_to_end(state, row);
   }
   TM_HOST_DEVICE Vec3<Real> start_of(std::uint32_t row) const { return end_of(row) - view::motion_to_end(state, row); }
-  /// Returns the box around the ways of some rows, larger by `margin` [m].
-  TM_HOST_DEVICE view::AxisBox<Real> box_of(const std::uint32_t* rows, int count, Real margin) const {
+  /// Returns the box around the ways of some rows, larger by `margin` [m]. ahead: ways that they go on from the end.
+  TM_HOST_DEVICE view::AxisBox<Real> box_of(const std::uint32_t* rows, int count, Real margin, Real ahead = 0) const {
     view::AxisBox<Real> box;
     for (int r = 0; r < count; ++r) {
-      const Vec3<Real> places[3] = {view::position(state, rows[r]), start_of(rows[r]), end_of(rows[r])};
+      const Vec3<Real> end = end_of(rows[r]) + view::motion_to_end(state, rows[r]) * ahead;
+      const Vec3<Real> places[3] = {view::position(state, rows[r]), start_of(rows[r]), end};
       for (int i = 0; i < 3; ++i) {
         for (int c = 0; c < 3; ++c) {
           const bool first = r == 0 && i == 0;
@@ -255,9 +256,13 @@ struct StepWay {
   }
 };
 
-/// Returns the first point at which a node comes through the surface of another body in this step and gets deeper than
-/// `margin`; way: from there to the node, now. The face must face the node, because a thin body's far side comes
-/// through behind its near side. A triangle counts as moving with the mean of its corners.
+/// Returns the first point at which a node comes through the surface of another body in this step, if it would not be
+/// found there in the next one: because it gets deeper than `reach`, or nearer to where it would come out again. Else
+/// no triangle: a contact across a gap may pull in a step that another contact ends early, so it is the exception. way:
+/// from there to the node, now. The face must face the node, because a thin body's far side comes through behind its
+/// near side. A triangle counts as moving with the mean of its corners.
+///
+///   margin   depth up to which the node is not taken as inside [m]
 template <class Real>
 TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state,
                                               const view::ContactView<Real>& contact, const view::TiesView<Real>& ties,
@@ -269,7 +274,7 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
   const Vec3<Real> own = view::motion_to_end(state, row);
   if (!(own.dot(own) > margin * margin)) return found;
   const Vec3<Real> start = ways.start_of(row), x = view::position(state, row);
-  Real first = 2;
+  Real first = 2, out = 3, deepest = 0;  // part of the way to the entry and to the exit; depth at the end
   const auto consider = [&](std::uint32_t triangle) {
     const std::uint32_t* rows = contact.triangle_rows + std::size_t{3} * triangle;
     const Corners<Real> corners{{ways.start_of(rows[0]), ways.start_of(rows[1]), ways.start_of(rows[2])}};
@@ -277,18 +282,25 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
     for (int c = 0; c < 3; ++c) motion -= view::motion_to_end(state, rows[c]) / 3;
     const Vec3<Real> normal = unit<Real>(corners.normal());
     const Real ahead = normal.dot(motion), gap = normal.dot(start - corners.x[0]);
-    if (!(gap >= 0 && gap + ahead < -margin)) return;
-    if (!(normal.dot(vertex_normal(state, contact, vertex)) < 0)) return;  // last, because few come so far
+    const bool enters = gap >= 0 && gap + ahead < -margin, leaves = gap < 0 && gap + 2 * ahead > 0;
+    if (!enters && !leaves) return;
     const Real part = -gap / ahead;
-    if (!(part < first)) return;
-    const Vec3<Real> entry = start + motion * part;
-    const auto closest = physics::closest_point_on_triangle(entry, corners.x[0], corners.x[1], corners.x[2]);
-    const Vec3<Real> beside = entry - corners.at(closest.weights);
+    if (!(part < (enters ? first : out))) return;
+    // Late, because few come so far.
+    if (enters && !(normal.dot(vertex_normal(state, contact, vertex)) < 0)) return;
+    const Vec3<Real> there = start + motion * part;
+    const auto closest = physics::closest_point_on_triangle(there, corners.x[0], corners.x[1], corners.x[2]);
+    const Vec3<Real> beside = there - corners.at(closest.weights);
     if (beside.dot(beside) > Real(kOnFace * kOnFace) * reach * reach) return;
+    if (leaves) {
+      out = part;
+      return;
+    }
     first = part;
+    deepest = -gap - ahead;
     found = {triangle, closest.feature, closest.weights, x - corners_of(state, contact, triangle).at(closest.weights)};
   };
-  const view::AxisBox<Real> near = ways.box_of(&row, 1, reach);
+  const view::AxisBox<Real> near = ways.box_of(&row, 1, reach, 1);
   for (std::uint32_t group = side_groups[0]; group < side_groups[1]; ++group) {
     if (!overlap(ties.boxes[ties.leaf_count + group], near)) continue;
     for (std::uint32_t leaf = group * view::kGroupLeaves; leaf < (group + 1) * view::kGroupLeaves; ++leaf) {
@@ -298,6 +310,8 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
       }
     }
   }
+  const bool is_nearer_to_the_exit = out - 1 < 1 - first;
+  if (!(deepest > reach || is_nearer_to_the_exit)) found.triangle = view::kNoTriangle;
   return found;
 }
 

@@ -69,7 +69,7 @@ class HandPhase {
 
   Clock::duration step_period_;
   Clock::duration pose_period_ = kUnknown;
-  PoseStamp last_;  // of the newest pose that a step used
+  PoseStamp last_;  // that of the newest pose that a step used
 };
 
 }  // namespace tensormass::world

@@ -443,13 +443,13 @@ def _two_cores() -> str:
 
 
 def table() -> str:
-    """results/steps.csv: every row of the *.jsonl files."""
+    """results/steps.csv: every row of the *.jsonl files, without what is a list."""
     text = io.StringIO()
     out = csv.DictWriter(text, ("file", *CSV_COLUMNS), extrasaction="ignore", lineterminator="\n")
     out.writeheader()
     for path in sorted(RESULTS.glob("*.jsonl")):
         for row in rows(path.name):
-            out.writerow({"file": path.name, **row})
+            out.writerow({"file": path.name, **{name: of for name, of in row.items() if not isinstance(of, list)}})
     return text.getvalue()
 
 

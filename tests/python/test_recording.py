@@ -230,7 +230,6 @@ def test_a_loaded_scene_is_recorded_from_where_it_is(
     assert server.scenes() == []
 
 
-@pytest.mark.parametrize("precision", ["PRECISION_FLOAT", "PRECISION_DOUBLE"])
 def test_a_replay_holds_no_more_edits_than_a_step_can_have() -> None:
     class Endless(RecordingReader):
         def __init__(self) -> None:
@@ -244,6 +243,7 @@ def test_a_replay_holds_no_more_edits_than_a_step_can_have() -> None:
         next(batches(Endless()))
 
 
+@pytest.mark.parametrize("precision", ["PRECISION_FLOAT", "PRECISION_DOUBLE"])
 def test_edits_are_recorded_and_repeated_to_the_last_bit(
     precision: str, server: tm.Server, scene_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
