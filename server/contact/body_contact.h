@@ -35,9 +35,9 @@
 ///    and hold it. A node touches only what it was seen outside of before (NodeSide).
 /// 8. A node that pushed another body in the last step and is behind the facing triangle has sunk in, even where it is
 ///    out on the other side of a thin body (remembers_side). It is pushed back to where it entered.
-/// 9. A node that comes through a face in this step touches that face across the gap (passed_face). Otherwise it would
-///    be past a thin body, or deeper than the reach, before any step has seen it touch. It searches along its own way,
-///    so the other body must move less than the reach in a step.
+/// 9. A node that comes through a face in this step touches that face across the gap, if it would end deeper than the
+///    reach or nearer to where it would come out again (passed_face). The next step would not find it at that face. The
+///    node searches along its own way, so the other body must move less than the reach in a step.
 namespace tensormass::contact {
 
 /// Cosine of the angle up to which two triangles count as parts of one smooth surface: 45°.
