@@ -36,7 +36,7 @@
 /// 8. A node that pushed another body in the last step and is behind the facing triangle has sunk in, even where it is
 ///    out on the other side of a thin body (remembers_side). It is pushed back to where it entered.
 /// 9. A node that comes through a face in this step touches that face across the gap, if it would end deeper than the
-///    reach or nearer to where it would come out again (passed_face). The next step would not find it at that face. The
+///    reach or nearer to the opposite face (passed_face). The next step would not find it at that face. The
 ///    node searches along its own way, so the other body must move less than the reach in a step.
 namespace tensormass::contact {
 
@@ -257,7 +257,7 @@ struct StepWay {
 };
 
 /// Returns the first point at which a node comes through the surface of another body in this step, if it would not be
-/// found there in the next one: because it gets deeper than `reach`, or nearer to where it would come out again. Else
+/// found there in the next one: because it gets deeper than `reach`, or nearer to the opposite face. Else
 /// no triangle: a contact across a gap may pull in a step that another contact ends early, so it is the exception. way:
 /// from there to the node, now. The face must face the node, because a thin body's far side comes through behind its
 /// near side. A triangle counts as moving with the mean of its corners.
@@ -275,6 +275,7 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
   if (!(own.dot(own) > margin * margin)) return found;
   const Vec3<Real> start = ways.start_of(row), x = view::position(state, row);
   Real first = 2, out = 3, deepest = 0;  // part of the way to the entry and to the exit; depth at the end
+  Vec3<Real> normal_in = Vec3<Real>::Zero(), normal_out = Vec3<Real>::Zero();
   const auto consider = [&](std::uint32_t triangle) {
     const std::uint32_t* rows = contact.triangle_rows + std::size_t{3} * triangle;
     const Corners<Real> corners{{ways.start_of(rows[0]), ways.start_of(rows[1]), ways.start_of(rows[2])}};
@@ -294,9 +295,11 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
     if (beside.dot(beside) > Real(kOnFace * kOnFace) * reach * reach) return;
     if (leaves) {
       out = part;
+      normal_out = normal;
       return;
     }
     first = part;
+    normal_in = normal;
     deepest = -gap - ahead;
     found = {triangle, closest.feature, closest.weights, x - corners_of(state, contact, triangle).at(closest.weights)};
   };
@@ -310,8 +313,9 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
       }
     }
   }
-  const bool is_nearer_to_the_exit = out - 1 < 1 - first;
-  if (!(deepest > reach || is_nearer_to_the_exit)) found.triangle = view::kNoTriangle;
+  // Beside a sharp edge, where both faces meet, the way through is short, too. The edge's own contact is there.
+  const bool is_thin = out - 1 < 1 - first && normal_in.dot(normal_out) < -Real(kSmoothCosine);
+  if (!(deepest > reach || is_thin)) found.triangle = view::kNoTriangle;
   return found;
 }
 
