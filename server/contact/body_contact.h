@@ -313,7 +313,7 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
       }
     }
   }
-  // Beside a sharp edge, where both faces meet, the way through is short, too. The edge's own contact is there.
+  // The way through is short beside a sharp edge, too, where both faces meet; there the edge has its own contact.
   const bool is_thin = out - 1 < 1 - first && normal_in.dot(normal_out) < -Real(kSmoothCosine);
   if (!(deepest > reach || is_thin)) found.triangle = view::kNoTriangle;
   return found;
