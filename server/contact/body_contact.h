@@ -154,6 +154,21 @@ struct NearestPoints {
   SurfacePoint<Real> any, facing;
 };
 
+/// Calls visit(triangle) for the triangles of a side's surface, without those of boxes that skips(box) leaves out.
+template <class Real, class Skips, class Visit>
+TM_HOST_DEVICE void for_each_triangle(const view::TiesView<Real>& ties, const std::uint32_t* side_groups,
+                                      const Skips& skips, const Visit& visit) {
+  for (std::uint32_t group = side_groups[0]; group < side_groups[1]; ++group) {
+    if (skips(ties.boxes[ties.leaf_count + group])) continue;
+    for (std::uint32_t leaf = group * view::kGroupLeaves; leaf < (group + 1) * view::kGroupLeaves; ++leaf) {
+      if (skips(ties.boxes[leaf])) continue;
+      for (std::uint32_t i = leaf * view::kLeafTriangles; i < (leaf + 1) * view::kLeafTriangles; ++i) {
+        if (ties.leaf_triangles[i] != view::kNoTriangle) visit(ties.leaf_triangles[i]);
+      }
+    }
+  }
+}
+
 template <class Real>
 TM_HOST_DEVICE NearestPoints<Real> nearest_points(const view::StateView<Real>& state,
                                                   const view::ContactView<Real>& contact,
@@ -186,15 +201,8 @@ TM_HOST_DEVICE NearestPoints<Real> nearest_points(const view::StateView<Real>& s
     facing = squared;
     nearest.facing = point;
   };
-  for (std::uint32_t group = side_groups[0]; group < side_groups[1]; ++group) {
-    if (distance_squared(ties.boxes[ties.leaf_count + group], x) >= facing) continue;
-    for (std::uint32_t leaf = group * view::kGroupLeaves; leaf < (group + 1) * view::kGroupLeaves; ++leaf) {
-      if (distance_squared(ties.boxes[leaf], x) >= facing) continue;
-      for (std::uint32_t i = leaf * view::kLeafTriangles; i < (leaf + 1) * view::kLeafTriangles; ++i) {
-        if (ties.leaf_triangles[i] != view::kNoTriangle) consider(ties.leaf_triangles[i]);
-      }
-    }
-  }
+  const auto is_farther = [&](const view::AxisBox<Real>& box) { return distance_squared(box, x) >= facing; };
+  for_each_triangle(ties, side_groups, is_farther, consider);
   return nearest;
 }
 
@@ -257,10 +265,10 @@ struct StepWay {
 };
 
 /// Returns the first point at which a node comes through the surface of another body in this step, if it would not be
-/// found there in the next one: because it gets deeper than `reach`, or nearer to the opposite face. Else
-/// no triangle: a contact across a gap may pull in a step that another contact ends early, so it is the exception. way:
-/// from there to the node, now. The face must face the node, because a thin body's far side comes through behind its
-/// near side. A triangle counts as moving with the mean of its corners.
+/// found there in the next one: because it gets deeper than `reach`, or nearer to the opposite face. Else no triangle:
+/// a contact across a gap may pull in a step that another contact ends early, so it is the exception. way: from there
+/// to the node, now. The face must face the node, because a thin body's far side comes through behind its near side. A
+/// triangle counts as moving with the mean of its corners.
 ///
 ///   margin   depth up to which the node is not taken as inside [m]
 template <class Real>
@@ -304,15 +312,8 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
     found = {triangle, closest.feature, closest.weights, x - corners_of(state, contact, triangle).at(closest.weights)};
   };
   const view::AxisBox<Real> near = ways.box_of(&row, 1, reach, 1);
-  for (std::uint32_t group = side_groups[0]; group < side_groups[1]; ++group) {
-    if (!overlap(ties.boxes[ties.leaf_count + group], near)) continue;
-    for (std::uint32_t leaf = group * view::kGroupLeaves; leaf < (group + 1) * view::kGroupLeaves; ++leaf) {
-      if (!overlap(ties.boxes[leaf], near)) continue;
-      for (std::uint32_t i = leaf * view::kLeafTriangles; i < (leaf + 1) * view::kLeafTriangles; ++i) {
-        if (ties.leaf_triangles[i] != view::kNoTriangle) consider(ties.leaf_triangles[i]);
-      }
-    }
-  }
+  for_each_triangle(
+      ties, side_groups, [&](const view::AxisBox<Real>& box) { return !overlap(box, near); }, consider);
   // The way through is short beside a sharp edge, too, where both faces meet; there the edge has its own contact.
   const bool is_thin = out - 1 < 1 - first && normal_in.dot(normal_out) < -Real(kSmoothCosine);
   if (!(deepest > reach || is_thin)) found.triangle = view::kNoTriangle;

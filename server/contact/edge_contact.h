@@ -191,19 +191,13 @@ class EdgeSearch {
       if (partner > 0) consider(static_cast<std::uint32_t>(partner) - 1, true);
     }
     const view::AxisBox<Real> near = ways_.box_of(edges_.rows + std::size_t{4} * edge_, 2, side_[view::kSideReach]);
-    for (std::uint32_t group = groups_[0]; group < groups_[1]; ++group) {
-      if (!overlap(ties_.boxes[ties_.leaf_count + group], near)) continue;
-      for (std::uint32_t leaf = group * view::kGroupLeaves; leaf < (group + 1) * view::kGroupLeaves; ++leaf) {
-        if (!overlap(ties_.boxes[leaf], near)) continue;
-        for (std::uint32_t i = leaf * view::kLeafTriangles; i < (leaf + 1) * view::kLeafTriangles; ++i) {
-          if (ties_.leaf_triangles[i] == view::kNoTriangle) continue;
-          const std::uint32_t* edges = edges_.triangle_edges + std::size_t{3} * ties_.leaf_triangles[i];
-          for (int c = 0; c < 3; ++c) {
-            if (edges[c] != view::kNoEntry && !before_.has(edges[c])) consider(edges[c], false);
-          }
-        }
+    const auto is_elsewhere = [&](const view::AxisBox<Real>& box) { return !overlap(box, near); };
+    for_each_triangle(ties_, groups_, is_elsewhere, [&](std::uint32_t triangle) {
+      const std::uint32_t* edges = edges_.triangle_edges + std::size_t{3} * triangle;
+      for (int c = 0; c < 3; ++c) {
+        if (edges[c] != view::kNoEntry && !before_.has(edges[c])) consider(edges[c], false);
       }
-    }
+    });
     return touches_;
   }
 

@@ -81,23 +81,25 @@ Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene, const model::Progr
   return runner;
 }
 
-Result<v1::AdjustSceneResponse> SceneRegistry::adjust(std::string_view name, const v1::SceneAdjustments& changes) {
-  TM_ASSIGN_OR_RETURN(runner, find(name));
-  if (runner->source() == nullptr) return runner->adjust(changes);  // refused there
+/// Runs a change that compiles the scene again, and admits it like a load.
+template <class Change>
+auto SceneRegistry::admitted(const RunnerPtr& runner, const Change& change) -> decltype(change()) {
+  if (runner->source() == nullptr) return change();  // refused there
   const auto promise = admission_.admit(*runner->source());
   if (!promise) return tl::make_unexpected(promise.error());
-  return runner->adjust(changes);
+  return change();
+}
+
+Result<v1::AdjustSceneResponse> SceneRegistry::adjust(std::string_view name, const v1::SceneAdjustments& changes) {
+  TM_ASSIGN_OR_RETURN(runner, find(name));
+  return admitted(runner, [&] { return runner->adjust(changes); });
 }
 
 Result<v1::ReplaySceneResponse> SceneRegistry::replay(const v1::ReplaySceneRequest& request) {
   TM_ASSIGN_OR_RETURN(runner, find(request.scene()));
   const auto adjusts = [](const v1::RecordedEdit& edit) { return edit.has_adjust(); };
-  if (runner->source() == nullptr || std::none_of(request.edits().begin(), request.edits().end(), adjusts)) {
-    return runner->replay(request);
-  }
-  const auto promise = admission_.admit(*runner->source());
-  if (!promise) return tl::make_unexpected(promise.error());
-  return runner->replay(request);
+  const auto replay = [&] { return runner->replay(request); };
+  return std::any_of(request.edits().begin(), request.edits().end(), adjusts) ? admitted(runner, replay) : replay();
 }
 
 Result<void> SceneRegistry::unload(std::string_view name) {

@@ -110,6 +110,8 @@ class SceneRegistry {
   class Reservation;
   /// Counts the generation up and calls `output_signal_`. Call it without the lock.
   void changed();
+  template <class Change>
+  auto admitted(const RunnerPtr& runner, const Change& change) -> decltype(change());
 
   const world::RunnerOptions options_;
   const std::function<void()> output_signal_;

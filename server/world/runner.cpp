@@ -99,7 +99,7 @@ struct Runner::Impl {
   Result<v1::SceneStatus> apply(const Adjust& adjust, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const Restore& restore, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const Reset& reset, const EditPointer& edit);
-  Result<void> replace_loop(const v1::SceneAdjustments& wanted, const EditPointer& edit);
+  Result<void> replace_loop(v1::SceneAdjustments wanted);
   /// Values of the scene if it was adjusted, else nullptr. Needs `commands`.
   const v1::SceneAdjustments* adjusted_values() const {
     if (!source || adjustments.SerializeAsString() == adjustments_of(source->scene).SerializeAsString()) return nullptr;
@@ -301,7 +301,7 @@ Result<v1::AdjustSceneResponse> Runner::adjust(const v1::SceneAdjustments& chang
   const std::lock_guard lock(impl_->adjusting);
   TM_ASSIGN_OR_RETURN(wanted, with_changes(impl_->adjustments, changes));
   if (wanted.SerializeAsString() != impl_->adjustments.SerializeAsString()) {
-    TM_RETURN_IF_ERROR(impl_->replace_loop(wanted, std::make_shared<const Edit>(Adjust{wanted})));
+    TM_RETURN_IF_ERROR(impl_->replace_loop(std::move(wanted)));
   }
   v1::AdjustSceneResponse response;
   *response.mutable_status() = status();
@@ -318,7 +318,7 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Adjust& adjust, const EditPoin
   if (!source) return fail(ErrorCode::kFailedPrecondition, "the scene was not loaded from a message");
   const std::lock_guard lock(adjusting);
   TM_ASSIGN_OR_RETURN(wanted, with_changes(adjustments, adjust.values));
-  TM_RETURN_IF_ERROR(replace_loop(wanted, std::make_shared<const Edit>(Adjust{wanted})));
+  TM_RETURN_IF_ERROR(replace_loop(std::move(wanted)));
   return loop()->status().make();
 }
 
@@ -337,19 +337,17 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Reset&, const EditPointer& edi
 
 /// Compiles the adjusted scene while the present loop steps. Then takes the present loop's state, and puts a loop that
 /// goes on from it in its place.
-/// edit: the same values, for a recording.
-Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted, const EditPointer& edit) {
+Result<void> Runner::Impl::replace_loop(v1::SceneAdjustments wanted) {
   TM_ASSIGN_OR_RETURN(compiled, compile_scene(adjusted(source->scene, wanted), source->options));
   TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
   world->set_topology_version(topology.version());  // values do not change what clients see of the mesh
+  const auto edit = std::make_shared<const Edit>(Adjust{wanted});
   const std::unique_lock lock(commands);
   const std::shared_ptr<Loop> old = loop();
   TM_ASSERT(hash_of_layout(world->model()) == hash_of_layout(old->model()), "values do not change the order of nodes");
   TM_ASSIGN_OR_RETURN(handed_over, old->call([&] { return old->do_hand_over(); }));
   std::shared_ptr<Loop> next;
-  v1::SceneAdjustments values;
   try {
-    values = wanted;
     world->take_over(handed_over.state.world);
     handed_over.start.before = old;
     handed_over.start.edit = edit;
@@ -361,7 +359,7 @@ Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted, cons
   }
   // Nothing from here on can fail: the new loop steps.
   scene_hash = compiled.scene_hash;
-  adjustments.Swap(&values);
+  adjustments.Swap(&wanted);
   const std::lock_guard swap(present_mutex);
   present = next;
   ++adjustment;

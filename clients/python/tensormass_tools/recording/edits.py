@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-#: Edits that a recording has between two steps at most (kMaxEditsOfStep): those on which the next step depends.
-MAX_EDITS_OF_STEP = 3
-
 #: What a mark says of each edit, by its name in RecordedEdit.
 TEXTS = {
     "adjust": "Values of the scene were adjusted.",

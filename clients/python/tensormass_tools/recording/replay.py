@@ -19,7 +19,7 @@ from tensormass._shared.processes import end_explained
 from tensormass.v1 import control_pb2, recording_pb2, scene_pb2
 from tensormass_tools.daemon_arguments import daemon_of
 from tensormass_tools.output import load_line, print_json
-from tensormass_tools.recording.edits import MAX_EDITS_OF_STEP
+from tensormass_tools.recording.chunks import MAX_EDITS_OF_STEP
 from tensormass_tools.recording.file import RecordingReader
 
 # The daemon's own limit is 1000 (server/core/recording_limits.h).
