@@ -118,7 +118,10 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
         ),
         _IN_SMALL_STEPS,
     ),
-    ("stretched to 10×", "mooney_rivlin", CAUGHT): (("pyramid", "hexahedron"), _IN_SMALL_STEPS),
+    ("stretched to 10×", "mooney_rivlin", CAUGHT): (
+        ("pyramid", "hexahedron", "quadratic_tetrahedron"),
+        _IN_SMALL_STEPS,
+    ),
     ("stretched to 10×, free", "mooney_rivlin", CAUGHT): (
         ("tetrahedron", "pyramid", "hexahedron", "quadratic_tetrahedron"),
         _IN_SMALL_STEPS,
@@ -138,9 +141,17 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
         _ELSEWHERE,
     ),
     ("stretched to 10×, free" + _NEWTON, "corotational", SHORT): (
-        ("hexahedron", "quadratic_hexahedron"),
+        ("hexahedron", "quadratic_tetrahedron", "quadratic_hexahedron"),
         _ELSEWHERE,
     ),
+    # Since guards judge steps otherwise (2026-11-28), quadratic tetrahedra find folded equilibria from these starts, where
+    # they came back before. Others that were caught come back: of 2,376 rows 1,411 hold, before 1,397.
+    ("collapsed to a point", "corotational", SHORT): (("quadratic_tetrahedron",), _ELSEWHERE),
+    ("inverted", "corotational", SHORT): (("quadratic_tetrahedron",), _ELSEWHERE),
+    ("at random", "corotational", SHORT): (("quadratic_tetrahedron",), _ELSEWHERE),
+    ("at random, free", "corotational", SHORT): (("quadratic_tetrahedron",), _ELSEWHERE),
+    ("at random" + _NEWTON, "corotational", SHORT): (("quadratic_tetrahedron",), _ELSEWHERE),
+    ("at random, free" + _NEWTON, "corotational", SHORT): (("quadratic_tetrahedron",), _ELSEWHERE),
     ("pressed to 1/10, free", "mooney_rivlin", CAUGHT): (
         ("tetrahedron", "pyramid", "quadratic_tetrahedron"),
         _IN_SMALL_STEPS,
@@ -176,16 +187,22 @@ _CRUMPLING: set[tuple[str, str, str]] = {
     # Rounding decides here too: from 10× the CPU comes back in both precisions, an H200 in neither. We ran the 41
     # starts of the corotational law on the CPU, in both precisions. Of 82 cubes seven crumpled, and one was caught.
     ("stretched to 10×, free" + _NEWTON, "ogden", SHORT),
+    ("stretched to 10×", "stable_neo_hookean", SHORT),
+    ("stretched to 10×" + _NEWTON, "stable_neo_hookean", SHORT),
+    ("stretched to 10×, free", "stable_neo_hookean", SHORT),
     ("stretched to 10×, free", "corotational", CAUGHT),
     ("stretched to 10×, free", "corotational", SHORT),
     ("collapsed to a point", "corotational", SHORT),
+    ("collapsed to a point", "stable_neo_hookean", SHORT),
     ("inverted", "corotational", SHORT),
     ("inverted", "stable_neo_hookean", SHORT),
     ("inverted, free", "stable_neo_hookean", SHORT),
     ("at random", "corotational", SHORT),
     ("at random", "stable_neo_hookean", CAUGHT),
+    ("at random", "stable_neo_hookean", SHORT),
     ("at random, free", "corotational", SHORT),
     ("at random, free", "stable_neo_hookean", CAUGHT),
+    ("at random, free", "stable_neo_hookean", SHORT),
     ("at random" + _NEWTON, "corotational", SHORT),
     ("at random" + _NEWTON, "stable_neo_hookean", SHORT),
     ("at random, free" + _NEWTON, "corotational", SHORT),
