@@ -35,7 +35,7 @@ struct SceneEvent {
   std::uint32_t tool = kNone;  ///< place in model::Model::tools
   double value = 0;            ///< follows from the kind
   std::optional<Vec3<double>> position_m = {};
-  GuardEvent guard = {};  ///< of kGuard and kHeld
+  GuardEvent guard = {};  ///< for kGuard and kHeld
   // The log fills these in.
   std::uint64_t sequence = 0;  ///< counts from 1
   std::uint64_t server_time_ns = 0;

@@ -24,7 +24,7 @@ struct BodyChanges {
 struct SurfaceChanges {
   /// 0: as in the topology. Grows by one with each edit that changes the surface, also with a reset. Never falls.
   std::uint32_t revision = 0;
-  std::uint32_t appended_vertex_count = 0;  ///< of all bodies
+  std::uint32_t appended_vertex_count = 0;  ///< sum over all bodies
   std::vector<BodyChanges> bodies;          ///< [body of the topology]; empty: all are as in the topology
 };
 

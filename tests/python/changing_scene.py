@@ -1,4 +1,4 @@
-"""A scene whose surface changes at random, with a plain account of what is to be seen.
+"""A scene whose surface changes at random, with a plain account of what a viewer must show.
 
 The first coordinate of a vertex is its place in the frame. So what a viewer draws tells which vertices it took.
 """
@@ -34,7 +34,7 @@ class ChangingScene:
         self.revision = 0
         self.sequence = 0
         self.history: dict[int, set[Face]] = {}
-        """What is to be seen at each revision."""
+        """Faces that a viewer must show at each revision."""
         self._fan = [tuple(int(corner) for corner in triangle) for triangle in fan]
         self._start()
         self.history[0] = self._shown()

@@ -78,7 +78,7 @@ class EventStream(Closing, Iterator[Event]):
 
     def _take(self, message: event_pb2.SceneEvents) -> None:
         if message.topology_version < self._load:
-            return  # of the load before, overtaken
+            return  # the load before; it was overtaken
         if message.topology_version > self._load:
             self._load, self._last = message.topology_version, 0
         for event in message.events:
