@@ -71,7 +71,9 @@ inline constexpr auto kStreams = [] {
       //                  operator hand   viewer recorder metrics
       {"topology",        {ALL,    SCENE, ALL,   ALL,     NO}},
       {"frame",           {ALL,    SCENE, ALL,   ALL,     NO}},
+      {"changes",         {ALL,    SCENE, ALL,   ALL,     NO}},
       {"status",          {ALL,    SCENE, ALL,   ALL,     ALL}},
+      {"events",          {ALL,    SCENE, ALL,   ALL,     NO}},
       {"tool/*/feedback", {ALL,    TOOL,  ALL,   ALL,     NO}},
   });
 }();

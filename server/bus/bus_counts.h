@@ -12,7 +12,8 @@ enum class Carrier : std::uint8_t { kZeroMq, kZenoh };
 inline constexpr std::array<std::string_view, 2> kCarrierNames{"zeromq", "zenoh"};
 
 /// The ends of the keys of streams.
-inline constexpr std::array<std::string_view, 4> kStreamNames{"topology", "frame", "status", "feedback"};
+inline constexpr std::array<std::string_view, 6> kStreamNames{"topology", "frame",   "status",
+                                                              "feedback", "changes", "events"};
 
 /// Why a transport refuses what a client sends.
 enum class Refusal : std::uint8_t {

@@ -10,7 +10,9 @@
 ///
 ///     tensormass/<server>/<scene>/topology
 ///     tensormass/<server>/<scene>/frame
+///     tensormass/<server>/<scene>/changes
 ///     tensormass/<server>/<scene>/status
+///     tensormass/<server>/<scene>/events
 ///     tensormass/<server>/<scene>/tool/<tool>/feedback
 ///     tensormass/<server>/<scene>/tool/<tool>/pose      the only one that clients send
 ///
@@ -36,6 +38,14 @@ inline std::string frame_key(std::string_view server, std::string_view scene) {
 
 inline std::string status_key(std::string_view server, std::string_view scene) {
   return scene_key(server, scene, "status");
+}
+
+inline std::string changes_key(std::string_view server, std::string_view scene) {
+  return scene_key(server, scene, "changes");
+}
+
+inline std::string events_key(std::string_view server, std::string_view scene) {
+  return scene_key(server, scene, "events");
 }
 
 inline std::string feedback_key(std::string_view server, std::string_view scene, std::string_view tool) {
@@ -108,7 +118,7 @@ inline std::optional<StreamAddress> parse_stream_key(std::string_view server, st
     if (!is_valid_name(tool) || reader.rest() != "/feedback") return std::nullopt;
     return StreamAddress{scene, "tool/*/feedback", tool};
   }
-  for (const std::string_view stream : {"topology", "frame", "status"}) {
+  for (const std::string_view stream : {"topology", "frame", "changes", "status", "events"}) {
     if (reader.rest().starts_with('/') && reader.rest().substr(1) == stream) return StreamAddress{scene, stream, {}};
   }
   return std::nullopt;

@@ -215,8 +215,11 @@ grpc::Status ControlService::GetFrame(grpc::ServerContext* context, const v1::Ge
   if (const grpc::Status allowed = permit(context, "GetFrame", request->scene()); !allowed.ok()) return allowed;
   const CallShare::Place place(waiting_calls_);
   if (!place) return place.refusal();
-  return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->frame(); }),
-                response->mutable_frame());
+  const auto runner = registry_.find(request->scene());
+  const grpc::Status status =
+      answer(runner.and_then([](const RunnerPtr& found) { return found->frame(); }), response->mutable_frame());
+  if (status.ok() && !(*runner)->changes(*response->mutable_changes())) response->clear_changes();
+  return status;
 }
 
 grpc::Status ControlService::GetPositions(grpc::ServerContext* context, const v1::GetPositionsRequest* request,

@@ -19,6 +19,9 @@ namespace {
 /// Longest wait [ms]. A paused scene writes nothing and signals nothing, but its status must still be published.
 constexpr int kIdleWakeUpMs = 50;
 
+/// Shortest time between two messages of changes, and of events. Each has all of them, so fewer lose nothing.
+constexpr std::chrono::milliseconds kChangesPeriod{50};
+
 /// suppressed: lines of other findings that a limit has kept back.
 void log_finding(const std::string& scene, const v1::Finding& finding, std::uint64_t suppressed) {
   log::write(finding.accepted().empty() ? spdlog::level::warn : spdlog::level::info, "finding",
@@ -86,6 +89,7 @@ void Publisher::publish_news() {
   for (auto& [name, scene] : scenes_) {
     const control::RunnerPtr runner = scene.runner.lock();
     if (runner == nullptr) continue;
+    publish_changes(scene, *runner);
     const bool has_frame = runner->take_frame(frame_);
     if (has_frame) bus_.publish(scene.frame_key, frame_);
     if (runner->take_status(status_)) {
@@ -155,10 +159,19 @@ void Publisher::start_scene(const control::RunnerPtr& runner) {
   scene.frame_key = bus::frame_key(server_, name);
   scene.status_key = bus::status_key(server_, name);
   scene.topology_key = bus::topology_key(server_, name);
+  scene.changes_key = bus::changes_key(server_, name);
+  scene.events_key = bus::events_key(server_, name);
   for (const v1::ToolShape& tool : runner->topology().tools()) {
     scene.feedback_keys.push_back(bus::feedback_key(server_, name, tool.name()));
   }
   bus_.publish(scene.topology_key, runner->topology(), {.retain = true});
+  // Everybody who subscribes gets a message, so nobody waits for what has not happened yet.
+  changes_.Clear();
+  changes_.set_topology_version(runner->topology().version());
+  bus_.publish(scene.changes_key, changes_, {.retain = true});
+  events_.Clear();
+  events_.set_topology_version(runner->topology().version());
+  bus_.publish(scene.events_key, events_, {.retain = true});
   scenes_.emplace(name, std::move(scene));
   log::info("scene loaded", {{"scene", name}, {"bytes", runner->report().bytes_total()}});
   for (const v1::Finding& finding : runner->report().findings()) log_finding(name, finding, 0);
@@ -175,6 +188,20 @@ void Publisher::end_scene(Scene& scene) {
   }
   bus_.forget(scene.topology_key);
   bus_.forget(scene.status_key);
+  bus_.forget(scene.changes_key);
+  bus_.forget(scene.events_key);
+}
+
+void Publisher::publish_changes(Scene& scene, world::Runner& runner) {
+  const auto time = std::chrono::steady_clock::now();
+  if (time >= scene.next_changes && runner.take_changes(changes_)) {
+    bus_.publish(scene.changes_key, changes_, {.retain = true});
+    scene.next_changes = time + kChangesPeriod;
+  }
+  if (time >= scene.next_events && runner.take_events(events_)) {
+    bus_.publish(scene.events_key, events_, {.retain = true});
+    scene.next_events = time + kChangesPeriod;
+  }
 }
 
 void Publisher::publish_feedback(Scene& scene) {

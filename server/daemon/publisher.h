@@ -45,7 +45,7 @@ class WakeUp {
 /// Moves output from the scenes' mailboxes to the bus, on a thread of its own. Serializing and sending a frame takes
 /// longer than a step may wait, so the scenes' loops do neither.
 ///
-///     loop of scene A ─┬─ writes ──> mailboxes of A: frame, feedback ──┐
+///     loop of scene A ─┬─ writes ──> mailboxes of A: frame, feedback, … ┐
 ///     loop of scene B ─┼─ writes ──> mailboxes of B ───────────────────┤
 ///                      └─ WakeUp::signal ────────────┐                 │ take_frame, take_feedback, take_status
 ///     registry ── load, unload: WakeUp::signal ──────┴──> publisher <──┘
@@ -54,6 +54,7 @@ class WakeUp {
 /// - Who waits: only the publisher. It sleeps until a signal, but at most 50 ms, because paused scenes do not signal.
 /// - What is dropped: a frame or a feedback that the loop overwrites before the publisher takes it. A mailbox keeps the
 ///   newest.
+/// - Changes of the surface and events go out at most 20 times a second; each message has all of them.
 /// - Order: feedback before frames, and again after each frame. A hand feels a late force; nobody feels a late frame.
 /// - End of a scene: the publisher sends a last feedback with zero force and zero stiffness for each tool, so that no
 ///   client keeps pressing with an old force. Then it drops the scene's retained messages.
@@ -81,10 +82,11 @@ class Publisher {
     const world::Runner* id;                 // to compare only; may dangle
     std::vector<v1::ToolFeedback> feedback;  // the last published feedback of each tool
     std::vector<std::string> feedback_keys;  // one for each tool, in the order of `feedback`
-    std::string frame_key, status_key, topology_key;
-    std::uint64_t recoveries = 0;  // logged so far
-    bool stopped = false;          // a fault was logged
-    std::set<std::string> found;   // findings about results that were logged and last
+    std::string frame_key, status_key, topology_key, changes_key, events_key;
+    std::chrono::steady_clock::time_point next_changes, next_events;  // not before
+    std::uint64_t recoveries = 0;                                     // logged so far
+    bool stopped = false;                                             // a fault was logged
+    std::set<std::string> found;  // findings about results that were logged and last
   };
 
   static std::chrono::steady_clock::rep now() { return std::chrono::steady_clock::now().time_since_epoch().count(); }
@@ -99,6 +101,7 @@ class Publisher {
   /// Publishes zero forces and drops the retained messages.
   void end_scene(Scene& scene);
   void publish_feedback(Scene& scene);
+  void publish_changes(Scene& scene, world::Runner& runner);
   void log_recovery(const std::string& name, Scene& scene);
   void log_findings(const std::string& name, Scene& scene);
 
@@ -112,6 +115,8 @@ class Publisher {
   // Reused for every message, so that their buffers are allocated once.
   v1::Frame frame_;
   v1::SceneStatus status_;
+  v1::SurfaceChanges changes_;
+  v1::SceneEvents events_;
   std::atomic<bool> stop_{false};
   std::atomic<std::chrono::steady_clock::rep> turned_{now()};
   std::thread thread_;

@@ -41,6 +41,7 @@ Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start
   if (start.before) {
     status_.go_on_from(start.before->status_);
     outputs_.go_on_from(start.before->outputs_);
+    if (start.edit) outputs_.add_event({.kind = EventKind::kAdjusted, .step = world_->step_count()});
     expiry_ = start.before->expiry_;
   }
   outputs_.publish(true);
@@ -227,6 +228,7 @@ bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
     return false;
   }
   status_.take_step(*world_);
+  outputs_.note_guard();
   if (!good) {
     TM_ASSERT(world_->guard_event() != nullptr, "a step that failed left a guard event");
     stop_with_fault(to_text(*world_->guard_event(), world_->model()));
@@ -353,6 +355,7 @@ Result<v1::SceneStatus> Loop::do_reset(EditPointer edit) {
   budget_.clear();
   world_->set_cg_limit(budget_.limit());
   next_diagnostics_ = 0;
+  outputs_.add_event({.kind = EventKind::kReset, .step = 0});
   if (recording_) recording_->take_edit({std::move(edit), 0});
   go_on_from_new_state();
   return status_.make();

@@ -14,7 +14,7 @@ LoopOutputs::LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_publis
       model_(world.model()),
       tools_(model_.tools.size()),
       frames_(FrameSlot{{},
-                        std::vector<float>(3 * std::size_t{model_.visible.count()}),
+                        std::vector<float>(world.visible_positions().size()),
                         tools_,
                         std::vector<std::uint8_t>(world.broken_springs().size())}),
       feedback_(FeedbackSlot{{}, tools_}),
@@ -26,12 +26,65 @@ LoopOutputs::LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_publis
   for (std::size_t i = 0; i < tools_.size(); ++i) answered_[i] = tools_[i].newest.arrived;
 }
 
+void LoopOutputs::go_on_from(const LoopOutputs& other) {
+  frames_replaced_.fetch_add(other.frames_replaced_.load());
+  was_recovering_ = other.was_recovering_;
+  log_ = other.log_;
+  if (log_.size() > 0) leave_events();
+  if (other.newest_changes_) set_changes(other.newest_changes_);
+}
+
 void LoopOutputs::take_step(Clock::time_point began) {
   const std::span<const ToolReading> readings = world_.readings();
   TM_ASSERT(readings.size() == tools_.size(), "a reading for each tool");
   stamp_ = {world_.step_count(), world_.simulated_time_s(), unix_time_ns(), began,
             Clock::now(),        world_.topology_version()};
+  stamp_changes();
   std::copy(readings.begin(), readings.end(), tools_.begin());
+}
+
+void LoopOutputs::stamp_changes() {
+  if (newest_changes_ == nullptr) return;
+  stamp_.revision = newest_changes_->revision;
+  stamp_.appended_vertex_count = newest_changes_->appended_vertex_count;
+}
+
+void LoopOutputs::set_changes(SurfaceChangesPointer changes) {
+  TM_ASSERT(changes != nullptr, "changes of a surface");
+  TM_ASSERT(newest_changes_ == nullptr || stamp_.topology_version != world_.topology_version() ||
+                changes->revision >= newest_changes_->revision,
+            "a revision never falls");
+  newest_changes_ = std::move(changes);
+  stamp_.topology_version = world_.topology_version();
+  stamp_changes();
+  leave_changes();
+}
+
+void LoopOutputs::leave_changes() {
+  for (Latest<ChangesSlot>* mailbox : {&changes_, &shown_changes_}) {
+    mailbox->writing() = {newest_changes_, world_.topology_version()};
+    mailbox->publish();
+  }
+}
+
+void LoopOutputs::add_event(const SceneEvent& event) {
+  log_.add(event, unix_time_ns());
+  leave_events();
+}
+
+void LoopOutputs::leave_events() {
+  events_.writing() = {log_, world_.topology_version()};
+  events_.publish();
+}
+
+void LoopOutputs::note_guard() {
+  const GuardEvent* event = world_.guard_event();
+  const bool begins = world_.recovering() && !was_recovering_;
+  was_recovering_ = world_.recovering();
+  if (event == nullptr) return;
+  const bool stopped = event->outcome == GuardEvent::Outcome::kStopped;
+  if (!begins && !stopped) return;
+  add_event({.kind = stopped ? EventKind::kGuard : EventKind::kHeld, .step = world_.step_count(), .guard = *event});
 }
 
 void LoopOutputs::release_tools() {
@@ -119,6 +172,28 @@ bool LoopOutputs::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
     fill_feedback(model_, slot->stamp, i, slot->tools[i], feedback[i]);
     count_answer(i, slot->tools[i].newest.arrived);
   }
+  return true;
+}
+
+bool LoopOutputs::take_changes(v1::SurfaceChanges& changes) {
+  const ChangesSlot* slot = changes_.take();
+  if (slot == nullptr) return false;
+  fill_changes(*slot, changes);
+  return true;
+}
+
+bool LoopOutputs::take_events(v1::SceneEvents& events) {
+  const EventsSlot* slot = events_.take();
+  if (slot == nullptr) return false;
+  fill_events(model_, *slot, events);
+  return true;
+}
+
+bool LoopOutputs::changes(v1::SurfaceChanges& changes) const {
+  const std::lock_guard lock(changes_mutex_);
+  if (const ChangesSlot* newer = shown_changes_.take()) newest_shown_changes_ = newer;
+  if (newest_shown_changes_ == nullptr) return false;
+  fill_changes(*newest_shown_changes_, changes);
   return true;
 }
 

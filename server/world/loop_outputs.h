@@ -23,9 +23,13 @@
 ///     world -> stamp, tools --+--> frames            --> publisher: take_frame      a replaced frame is counted
 ///                             +--> feedback          --> publisher: take_feedback
 ///                             +--> status feedback   --> any thread: add_to         readers share a mutex
+///     edits -> set_changes ---+--> changes           --> publisher: take_changes
+///                             +--> shown changes     --> any thread: changes        readers share a mutex
+///     add_event ---------------->  events            --> publisher: take_events
 ///
 /// A frame holds the positions of the visible nodes [m], all tools and the broken springs. Feedback holds the tools
-/// only, and goes out after every step, while frames go out at the rate of the scene's streams.
+/// only, and goes out after every step, while frames go out at the rate of the scene's streams. Changes of the surface
+/// and events hold everything so far, so a reader that misses some loses nothing.
 namespace tensormass::world {
 
 /// Number of frames of a scene that readers took, which is the sequence of the last one. A loop that takes the place of
@@ -41,10 +45,18 @@ class LoopOutputs {
 
   // -- the loop's thread; these read the world ------------------------------------------------------------------------
 
-  /// Goes on counting where other outputs of the same scene ended.
-  void go_on_from(const LoopOutputs& other) { frames_replaced_.fetch_add(other.frames_replaced_.load()); }
+  /// Goes on counting where other outputs of the same scene ended, with their events and changes.
+  void go_on_from(const LoopOutputs& other);
   /// Copies step, time and tool readings from the world.
   void take_step(Clock::time_point began);
+  /// Takes what became of the surface. Frames of the steps from here on have its revision, and the world's visible
+  /// positions have its appended vertices. Nobody may change it any more. Whoever makes changes again and again keeps
+  /// the old ones until use_count() is 1, so that the loop frees nothing.
+  void set_changes(SurfaceChangesPointer changes);
+  /// Adds an event and leaves it for the publisher, who learns of it with the next `publish`.
+  void add_event(const SceneEvent& event);
+  /// Adds the event of a recovery that began in the world's last step, or of a step that stopped the scene.
+  void note_guard();
   /// Zeroes force, torque and stiffness of every tool: a scene that does not step must not push anyone's hand.
   void release_tools();
 
@@ -69,16 +81,25 @@ class LoopOutputs {
   bool take_frame(v1::Frame& frame);
   /// Takes the newest feedback of all tools; false if there is none since the last call.
   bool take_feedback(std::vector<v1::ToolFeedback>& feedback);
+  /// Takes the newest changes of the surface; false if there are none since the last call.
+  bool take_changes(v1::SurfaceChanges& changes);
+  /// Takes the last events; false if there is none since the last call.
+  bool take_events(v1::SceneEvents& events);
 
   // -- any thread -----------------------------------------------------------------------------------------------------
 
   const std::shared_ptr<FrameCount>& frames_published() const { return frames_published_; }
+  /// Fills in the newest changes of the surface; false if there were none.
+  bool changes(v1::SurfaceChanges& changes) const;
   /// Adds the counts of frames and the newest feedback of all tools.
   void add_to(v1::SceneStatus& status) const;
 
  private:
   void leave_feedback();
   void leave_frame();
+  void stamp_changes();
+  void leave_changes();
+  void leave_events();
   void count_answer(std::size_t tool, Clock::time_point arrived);
 
   World& world_;
@@ -86,6 +107,9 @@ class LoopOutputs {
   // The loop's own copy of the newest results; readers get copies of it.
   StepStamp stamp_;
   std::vector<ToolReading> tools_;
+  SurfaceChangesPointer newest_changes_;
+  EventLog log_;
+  bool was_recovering_ = false;
   std::function<void()> signal_;
 
   Latest<FrameSlot> frames_;
@@ -93,6 +117,12 @@ class LoopOutputs {
   mutable std::mutex status_mutex_;  // guards the reader's side of the next two
   mutable Latest<FeedbackSlot> status_feedback_;
   mutable const FeedbackSlot* newest_status_feedback_ = nullptr;
+
+  Latest<ChangesSlot> changes_;
+  mutable std::mutex changes_mutex_;  // guards the reader's side of the next two
+  mutable Latest<ChangesSlot> shown_changes_;
+  mutable const ChangesSlot* newest_shown_changes_ = nullptr;
+  Latest<EventsSlot> events_;
 
   const std::shared_ptr<FrameCount> frames_published_;
   const std::shared_ptr<SceneCounts> counts_;

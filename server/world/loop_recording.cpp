@@ -117,6 +117,7 @@ Result<v1::SceneStatus> Loop::do_restore(const LoopState& state, EditPointer edi
   budget_.clear();
   world_->restore(state.world);
   next_diagnostics_ = state.next_diagnostics;
+  outputs_.add_event({.kind = EventKind::kRestored, .step = state.world.step_count});
   if (recording_) recording_->take_edit({std::move(edit), state.world.step_count});
   go_on_from_new_state();
   return status_.make();

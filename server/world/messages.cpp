@@ -6,6 +6,8 @@
 #include <chrono>
 #include <cmath>
 
+#include <fmt/format.h>
+
 #include "core/assert.h"
 
 namespace tensormass::world {
@@ -34,6 +36,30 @@ std::vector<std::uint32_t> fixed_vertices(const model::Model& model, const model
     }
   }
   return fixed;
+}
+
+/// What happened, in words. body: of the event, in quotes; empty: it has none.
+std::string text_of(const model::Model& model, const SceneEvent& event, const std::string& body) {
+  constexpr double kMm3 = 1e9;  // in a cubic metre
+  const std::string of_body = body.empty() ? std::string() : fmt::format(" of body {}", body);
+  switch (event.kind) {
+    case EventKind::kAblated:
+      return fmt::format("{:.3g} mm³{} burnt away", kMm3 * event.value, of_body);
+    case EventKind::kPieceFree:
+      return fmt::format("a piece of {:.3g} mm³{} hangs on nothing", kMm3 * event.value, of_body);
+    case EventKind::kSevered:
+      return fmt::format("{:.0f} spring{} severed{}", event.value, event.value == 1 ? "" : "s", of_body);
+    case EventKind::kAdjusted:
+      return "values of the scene were adjusted";
+    case EventKind::kReset:
+      return "the scene was reset";
+    case EventKind::kRestored:
+      return fmt::format("the scene goes on from a snapshot after step {}", event.step);
+    case EventKind::kGuard:
+    case EventKind::kHeld:
+      return to_text(event.guard, model);
+  }
+  return {};
 }
 
 }  // namespace
@@ -135,19 +161,63 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
 
 void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<const float> positions,
                 std::span<const ToolReading> tools, std::span<const std::uint8_t> broken_springs, v1::Frame& out) {
-  TM_ASSERT(positions.size() == 3 * std::size_t{model.visible.count()}, "positions of all visible points");
-  const std::size_t vertices = 3 * std::size_t{model.visible.vertex_count};
+  const std::size_t points = 3 * std::size_t{model.visible.count()},
+                    vertices = 3 * std::size_t{model.visible.vertex_count},
+                    appended = 3 * std::size_t{stamp.appended_vertex_count};
+  TM_ASSERT(positions.size() >= points + appended, "positions of all visible points and appended vertices");
   out.set_topology_version(stamp.topology_version);
   out.set_step(stamp.step);
   out.set_simulated_time_s(stamp.simulated_time_s);
   out.set_server_time_ns(stamp.server_time_ns);
-  out.set_positions(packed(positions.first(vertices)));
+  out.set_revision(stamp.revision);
+  std::string& packed_positions = *out.mutable_positions();
+  packed_positions = packed(positions.first(vertices));
+  packed_positions += packed(positions.subspan(points, appended));
   out.clear_tools();
   for (std::size_t i = 0; i < tools.size(); ++i) fill_feedback(model, stamp, i, tools[i], *out.add_tools());
-  out.set_attachment_points(packed(positions.subspan(vertices)));
+  out.set_attachment_points(packed(positions.subspan(vertices, points - vertices)));
   const bool any =
       std::any_of(broken_springs.begin(), broken_springs.end(), [](std::uint8_t bits) { return bits != 0; });
   out.set_broken_springs(any ? packed(broken_springs) : std::string());
+}
+
+void fill_changes(const ChangesSlot& slot, v1::SurfaceChanges& out) {
+  TM_ASSERT(slot.changes != nullptr, "there are changes to write");
+  const SurfaceChanges& changes = *slot.changes;
+  out.Clear();
+  out.set_topology_version(slot.topology_version);
+  out.set_revision(changes.revision);
+  out.set_appended_vertex_count(changes.appended_vertex_count);
+  for (const BodyChanges& body : changes.bodies) {
+    TM_ASSERT(body.appended_kinds.size() == body.appended_triangles.size(), "a kind for each appended triangle");
+    v1::BodyChanges& to = *out.add_bodies();
+    to.set_dead_triangles(packed(std::span<const std::uint32_t>(body.dead_triangles)));
+    to.set_appended_vertices(packed(std::span<const std::uint32_t>(body.appended_vertices)));
+    to.set_appended_triangles(packed(std::span<const mesh::Triangle>(body.appended_triangles)));
+    to.set_appended_kinds(packed(std::span<const std::uint8_t>(body.appended_kinds)));
+  }
+}
+
+void fill_events(const model::Model& model, const EventsSlot& slot, v1::SceneEvents& out) {
+  out.Clear();
+  out.set_topology_version(slot.topology_version);
+  for (std::size_t i = 0; i < slot.log.size(); ++i) {
+    const SceneEvent& event = slot.log[i];
+    v1::SceneEvent& to = *out.add_events();
+    to.set_sequence(event.sequence);
+    to.set_step(event.step);
+    to.set_server_time_ns(event.server_time_ns);
+    to.set_kind(static_cast<v1::SceneEvent::Kind>(event.kind));
+    std::string body;
+    if (event.body != SceneEvent::kNone) {
+      to.set_body(model.bodies[event.body].name);
+      body = fmt::format("'{}'", to.body());
+    }
+    if (event.tool != SceneEvent::kNone) to.set_tool(model.tools[event.tool].name);
+    to.set_value(event.value);
+    if (event.position_m) fill(*event.position_m, *to.mutable_position_m());
+    to.set_text(text_of(model, event, body));
+  }
 }
 
 }  // namespace tensormass::world

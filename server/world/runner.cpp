@@ -186,6 +186,7 @@ void Runner::cancel() {
 Result<v1::Frame> Runner::frame() {
   return impl_->read([](Loop& loop) { return loop.do_frame(); });
 }
+bool Runner::changes(v1::SurfaceChanges& changes) const { return impl_->loop()->outputs().changes(changes); }
 Result<v1::GetPositionsResponse> Runner::positions(std::string_view body) {
   return impl_->read([body](Loop& loop) { return loop.do_positions(body); });
 }
@@ -388,6 +389,8 @@ bool Runner::take_frame(v1::Frame& frame) { return impl_->loop()->outputs().take
 bool Runner::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
   return impl_->loop()->outputs().take_feedback(feedback);
 }
+bool Runner::take_changes(v1::SurfaceChanges& changes) { return impl_->loop()->outputs().take_changes(changes); }
+bool Runner::take_events(v1::SceneEvents& events) { return impl_->loop()->outputs().take_events(events); }
 bool Runner::take_status(v1::SceneStatus& status) { return impl_->loop()->take_status(status); }
 
 }  // namespace tensormass::world

@@ -10,7 +10,9 @@
 
 #include "core/result.h"
 #include "model/progress.h"
+#include "tensormass/v1/changes.pb.h"
 #include "tensormass/v1/control.pb.h"
+#include "tensormass/v1/event.pb.h"
 #include "tensormass/v1/scene.pb.h"
 #include "tensormass/v1/stream.pb.h"
 #include "world/pose_source.h"
@@ -100,6 +102,8 @@ class Runner {
   void cancel();
   /// Surface positions after the last step.
   Result<v1::Frame> frame();
+  /// Fills in the newest changes of the visible surface; false: it is as in the topology. Waits for no step.
+  bool changes(v1::SurfaceChanges& changes) const;
   Result<v1::GetPositionsResponse> positions(std::string_view body);
   Result<v1::GetFieldsResponse> fields(const v1::GetFieldsRequest& request);
   Result<v1::ToolFeedback> feedback(std::string_view tool) const;
@@ -137,6 +141,10 @@ class Runner {
   bool take_frame(v1::Frame& frame);
   /// Takes the newest feedback of all tools; false if there is none since the last call. One reader.
   bool take_feedback(std::vector<v1::ToolFeedback>& feedback);
+  /// Takes the newest changes of the surface; false if there are none since the last call. One reader.
+  bool take_changes(v1::SurfaceChanges& changes);
+  /// Takes the last events; false if there is none since the last call. One reader.
+  bool take_events(v1::SceneEvents& events);
   /// Fills `status` and returns true if one is due: by the scene's status rate, or after a change of state. One reader.
   bool take_status(v1::SceneStatus& status);
 

@@ -26,8 +26,9 @@ TEST(Rules, HaveEveryCallOfTheProtocolOnce) {
 }
 
 TEST(Rules, HaveEveryKeyOfTheProtocol) {
-  for (const std::string& key : {bus::topology_key("s", "demo"), bus::frame_key("s", "demo"),
-                                 bus::status_key("s", "demo"), bus::feedback_key("s", "demo", "probe")}) {
+  for (const std::string& key :
+       {bus::topology_key("s", "demo"), bus::frame_key("s", "demo"), bus::status_key("s", "demo"),
+        bus::changes_key("s", "demo"), bus::events_key("s", "demo"), bus::feedback_key("s", "demo", "probe")}) {
     const auto address = bus::parse_stream_key("s", key);
     ASSERT_TRUE(address) << key;
     EXPECT_NE(find_rule(kStreams, address->stream), nullptr) << key;

@@ -233,13 +233,14 @@ def test_every_stream_over_zenoh(one: Guarded, role: str) -> None:
             each.declare_subscriber("tensormass/local/**", zenoh.handlers.Callback(take(who), indirect=False))
             for who, each in (("role", session), ("operator", operator))
         ]
-        moving = {key for key in wanted if not key.endswith("topology")}
+        retained = ("topology", "changes", "events")
+        moving = {key for key in wanted if not key.endswith(retained)}
         wait_for("the streams", lambda: heard["operator"] >= moving)
         wait_for("those of the role", lambda: heard["role"] >= {key for key in moving if wanted[key]})
         heard["operator"].clear()
         wait_for("the streams again", lambda: heard["operator"] >= moving)
         assert heard["role"] <= {key for key, let_in in wanted.items() if let_in}
-        for key in (key_of("topology", scene) for scene in SCENES):
+        for key in (key_of(what, scene) for what in retained for scene in SCENES):
             replies = [reply for reply in session.get(key, timeout=2.0) if reply.ok is not None]
             assert bool(replies) == wanted[key], (role, key)
         del subscribers

@@ -9,6 +9,8 @@ TEST(Keys, MatchTheProtocol) {
   EXPECT_EQ(topology_key("host", "demo"), "tensormass/host/demo/topology");
   EXPECT_EQ(frame_key("host", "demo"), "tensormass/host/demo/frame");
   EXPECT_EQ(status_key("host", "demo"), "tensormass/host/demo/status");
+  EXPECT_EQ(changes_key("host", "demo"), "tensormass/host/demo/changes");
+  EXPECT_EQ(events_key("host", "demo"), "tensormass/host/demo/events");
   EXPECT_EQ(feedback_key("host", "demo", "probe"), "tensormass/host/demo/tool/probe/feedback");
   EXPECT_EQ(pose_key("host", "demo", "probe"), "tensormass/host/demo/tool/probe/pose");
 }
@@ -37,8 +39,9 @@ TEST(Keys, RefusesEveryOtherKeyAsAPoseKey) {
 }
 
 TEST(Keys, KnowsTheStreamsThatAServerPublishes) {
-  for (const std::string& key : {topology_key("host", "demo"), frame_key("host", "demo"), status_key("host", "demo"),
-                                 feedback_key("host", "demo", "probe")}) {
+  for (const std::string& key :
+       {topology_key("host", "demo"), frame_key("host", "demo"), status_key("host", "demo"),
+        changes_key("host", "demo"), events_key("host", "demo"), feedback_key("host", "demo", "probe")}) {
     EXPECT_TRUE(is_stream_key("host", key)) << key;
     EXPECT_FALSE(is_stream_key("other", key)) << key;
     EXPECT_FALSE(is_stream_key("host", key + "x")) << key;

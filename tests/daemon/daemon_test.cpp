@@ -12,6 +12,7 @@
 #include "bus/zenoh/session.h"
 #include "daemon_process.h"
 #include "support/scenes.h"
+#include "tensormass/v1/event.pb.h"
 
 namespace tensormass::daemon_tests {
 namespace {
@@ -161,6 +162,39 @@ TEST(Daemon, StreamsAreTheSameOverZenoh) {
   ASSERT_EQ(topology.bodies_size(), 1);
   EXPECT_EQ(frame.positions().size(), 12 * std::size_t{topology.bodies(0).vertex_count()});
   EXPECT_EQ(frame.topology_version(), topology.version());
+}
+
+TEST(Daemon, LateJoinersGetChangesAndEventsWhole) {
+  DaemonProcess daemon;
+  daemon.load(running_block());
+  const std::string publish = daemon.endpoint("zeromq_publish");
+  const auto changes = Reader<v1::SurfaceChanges>(publish, bus::changes_key("local", "block")).read();
+  EXPECT_EQ(changes.revision(), 0u);
+  EXPECT_EQ(changes.bodies_size(), 0);
+  Reader<v1::SceneEvents> early(publish, bus::events_key("local", "block"));
+  EXPECT_EQ(early.read().topology_version(), changes.topology_version());
+  for (int i = 0; i < 2; ++i) {
+    grpc::ClientContext context;
+    v1::ResetSceneRequest request;
+    request.set_scene("block");
+    v1::ResetSceneResponse response;
+    ASSERT_TRUE(daemon.stub->ResetScene(&context, request, &response).ok());
+  }
+  const auto has_both = [](const v1::SceneEvents& events) {
+    return events.events_size() == 2 && events.events(1).kind() == v1::SceneEvent::KIND_RESET;
+  };
+  EXPECT_TRUE(eventually([&] { return has_both(early.read()); }));
+  EXPECT_TRUE(has_both(Reader<v1::SceneEvents>(publish, bus::events_key("local", "block")).read()));
+
+  auto session = zenoh::Session::open({.connect = daemon.endpoint("zenoh")});
+  ASSERT_TRUE(session) << session.error().message;
+  v1::SceneEvents asked;
+  ASSERT_EQ(session->get("tensormass/local/block/events", 5000,
+                         [&](std::string_view, std::string_view payload) {
+                           EXPECT_TRUE(asked.ParseFromString(std::string(payload)));
+                         }),
+            1u);
+  EXPECT_TRUE(has_both(asked));
 }
 
 TEST(Daemon, APausedSceneStillPublishesItsStatus) {

@@ -2,7 +2,7 @@
 
 recording, chunk     a recording's file; the content of a chunk, packed and summed up as a stranger would
 message, query       what a browser sends to the gateway: WebSocket messages, and the choice in its address
-bus                  topology and frame of a daemon, in the gateway
+bus, changes         topology and frame of a daemon, and changes of a surface, in the gateway
 frame                an encoded frame, in a viewer
 scene, mesh, labels  files of the SDK
 """
@@ -26,15 +26,17 @@ import numpy as np
 import zstandard
 
 import tensormass as tm
+from tensormass._shared.surfaces import Surface
 from tensormass._src import demo, mesh_files
 from tensormass._src.label_formats import reading
 from tensormass._src.mesh_formats.raw import FormatError
 from tensormass._src.scene_file import SceneFile
-from tensormass.v1 import recording_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, recording_pb2, scene_pb2, stream_pb2
 from tensormass_gateway.choice import Choice, ChoiceError, Codec, choice_of
 from tensormass_gateway.decoding import FrameDecoder, FrameError
 from tensormass_gateway.encoding import FrameEncoder
 from tensormass_gateway.gateway import Browser, Gateway
+from tensormass_gateway.normals import Triangles
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.outbox import Stream
 from tensormass_gateway.requests import ProtocolError, read_request
@@ -220,6 +222,27 @@ def take_from_bus(data: bytes) -> None:
     asyncio.run(take())
 
 
+def changes() -> list[bytes]:
+    body = changes_pb2.BodyChanges(
+        dead_triangles=np.array([0], "<u4").tobytes(),
+        appended_vertices=np.array([3], "<u4").tobytes(),
+        appended_triangles=np.array([0, 1, 3], "<u4").tobytes(),
+        appended_kinds=b"\2",
+    )
+    message = changes_pb2.SurfaceChanges(topology_version=1, revision=1, appended_vertex_count=1, bodies=[body])
+    return [message.SerializeToString()]
+
+
+def take_changes(data: bytes) -> None:
+    surface = Surface(TRIANGLE, changes_pb2.SurfaceChanges.FromString(data))
+    for count in (3, 4):
+        positions = np.zeros((count, 3), np.float32)
+        triangles, faces = surface.triangles(0, count)
+        assert len(triangles) == len(faces)
+        surface.vertices(0, positions)[triangles]
+        Triangles(TRIANGLE, surface, count).directions(np.ascontiguousarray(positions.T))
+
+
 def frames() -> list[bytes]:
     async def encode() -> list[bytes]:
         streams = _Streams("liver")
@@ -319,6 +342,7 @@ TARGETS: dict[str, Target] = {
     "message": Target(messages, take_message, (ProtocolError,)),
     "query": Target(lambda: [b"codec=q16&rate_hz=30&normals=true&detail=0.25"], read_query, (ChoiceError,)),
     "bus": Target(bus, take_from_bus, (_decode_error(),)),
+    "changes": Target(changes, take_changes, (_decode_error(), ValueError)),
     "frame": Target(frames, read_frame, (FrameError,)),
     "scene": Target(scenes, read_scene, (tm.TensormassError,)),
     "mesh": Target(meshes, read_mesh, (tm.TensormassError,)),

@@ -19,6 +19,7 @@ COUNTS = {
     "message": 1000,
     "query": 2000,
     "bus": 500,
+    "changes": 2000,
     "frame": 2000,
     "scene": 1000,
     "mesh": 300,

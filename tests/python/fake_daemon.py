@@ -18,7 +18,7 @@ import zmq
 import zmq.asyncio
 from google.protobuf.message import Message
 
-from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 
 Call = grpc.aio.ServicerContext[Any, Any]
 
@@ -68,6 +68,7 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         self.server = server
         self.topologies: dict[str, stream_pb2.Topology] = {}
         self.frames: dict[str, stream_pb2.Frame] = {}
+        self.changes: dict[str, changes_pb2.SurfaceChanges] = {}
         self.publishes = True
         #: Answer to GetFields, and its requests.
         self.fields = control_pb2.GetFieldsResponse()
@@ -170,7 +171,7 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
     ) -> control_pb2.GetFrameResponse:
         if request.scene not in self.frames:
             await context.abort(grpc.StatusCode.NOT_FOUND, f"no frame of {request.scene!r}")
-        return control_pb2.GetFrameResponse(frame=self.frames[request.scene])
+        return control_pb2.GetFrameResponse(frame=self.frames[request.scene], changes=self.changes.get(request.scene))
 
     async def GetFields(  # noqa: N802
         self, request: control_pb2.GetFieldsRequest, context: Call

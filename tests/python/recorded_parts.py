@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from fake_daemon import triangle_topology
+from google.protobuf.message import Message
 
-from tensormass.v1 import recording_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, recording_pb2, scene_pb2, stream_pb2
 from tensormass_tools.recording.file import RecordingWriter
 
 TOPOLOGY = triangle_topology("liver", version=1000)
@@ -47,6 +48,7 @@ def write_recording(
     touching: Iterable[int] = (),
     rejected: Iterable[int] = (),
     recovered: Iterable[int] = (),
+    changing: Mapping[int, Sequence[Message]] | None = None,
     edits: Mapping[int, recording_pb2.RecordedEdit] | None = None,
     late_edits: bool = False,
 ) -> Path:
@@ -56,12 +58,14 @@ def write_recording(
         touching: sequences of frames in which the tool feels a force.
         rejected: sequences of frames before which a guard stopped the scene.
         recovered: sequences of frames whose step belongs to a recovery.
+        changing: changes of the surface and events, by the sequence of the frame that follows them. Frames have the
+            revision of the last changes.
         edits: by the sequence of the frame whose step follows; None: as recordings were before they had any, with a
             flag at each step that is a reset.
         late_edits: they come after their frame, as steps may.
     """
     recovered = set(recovered)
-    last = -1
+    last, revision = -1, 0
     with RecordingWriter(path) as writer:
         writer.add("/scene", scene_pb2.Scene(name="liver"), 1000)
         writer.add("/start", recording_pb2.RecordingStart(scene="liver", backend="cpu", device="test"))
@@ -85,8 +89,14 @@ def write_recording(
                 writer.add(
                     "/status", stream_pb2.SceneStatus(scene="liver", state=running, step=step, cg_iterations=step)
                 )
+            for message in (changing or {}).get(sequence, ()):
+                if isinstance(message, changes_pb2.SurfaceChanges):
+                    revision = message.revision
+                writer.add("/changes" if isinstance(message, changes_pb2.SurfaceChanges) else "/events", message)
             force_n = 0.5 if sequence in set(touching) else 0.0
-            writer.add("/frames", recorded_frame(step, sequence, force_n))
+            frame = recorded_frame(step, sequence, force_n)
+            frame.revision = revision
+            writer.add("/frames", frame)
             if edit is not None and late_edits:
                 writer.add("/edits", edit)
             if sequence % A_CHUNK == 0:

@@ -18,7 +18,8 @@ from service_parts import BLOCK, DEADLINE_S, block
 from surfaces import attached, frame_at, two_balls
 
 import tensormass as tm
-from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass._shared.surfaces import Surface
+from tensormass.v1 import changes_pb2, scene_pb2, stream_pb2
 from tensormass_tools.cli import main
 
 pv = pytest.importorskip("pyvista", reason="pyvista is not installed: pip install 'tensormass[desktop]'")
@@ -190,6 +191,38 @@ def test_a_spring_is_a_line_until_it_breaks(plotter: Any) -> None:  # noqa: ANN4
     strands = [int((np.abs(shot - all_torn).max(axis=2) > 20).sum()) for shot in shots]
     assert strands[0] > strands[1] > 0
     assert strands[3] == strands[0], "a reset mends them"
+
+
+def test_a_burnt_face_is_dark_and_what_is_dead_is_gone(plotter: Any) -> None:  # noqa: ANN401
+    plain = frame(1, 0.0)
+    picture = Picture(plotter, plain, None)
+    plotter.render()
+    before = plotter.screenshot().astype(int)
+    # One half of the square dies, and a burnt triangle of the same corners but one takes its place.
+    changes = changes_pb2.SurfaceChanges(topology_version=1, revision=1, appended_vertex_count=1)
+    changes.bodies.add(
+        dead_triangles=np.array([0, 1], "<u4").tobytes(),
+        appended_vertices=np.array([4], "<u4").tobytes(),
+        appended_triangles=np.array([0, 1, 4], "<u4").tobytes(),
+        appended_kinds=b"\2",
+    )
+    points = np.vstack([plain.positions, [[0.1, 0.1, 0.0]]]).astype("<f4")
+    message = stream_pb2.Frame(topology_version=1, step=2, revision=1, positions=points.tobytes())
+
+    def burnt(shown: Any) -> int:  # noqa: ANN401
+        return int((shown.max(axis=2) < 60).sum())
+
+    def changed(shown: changes_pb2.SurfaceChanges | None) -> tm.Frame:
+        return tm.Frame.from_message(message, plain.topology, Surface(plain.topology, shown))
+
+    for shown, is_dark in ((None, False), (changes, True), (None, False)):
+        picture.update(changed(shown))
+        plotter.render()
+        shot = plotter.screenshot().astype(int)
+        assert (burnt(shot) > burnt(before) + 100) == is_dark
+        assert (np.abs(shot - before).max(axis=2) > 40).sum() > 100 if is_dark else True
+    picture.update(frame(3, 0.01))
+    assert picture.largest_displacement_m == pytest.approx(0.01, rel=1e-5)
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from fake_daemon import fake_daemon
 from gateway_parts import TOKEN, Page, browse, load, options
 from recorded_parts import STEPS, TOPOLOGY, recorded_frame, write_recording
 
-from tensormass.v1 import stream_pb2
+from tensormass.v1 import changes_pb2, event_pb2, stream_pb2
 from tensormass_gateway.control import MAX_SPEED, MIN_SPEED
 from tensormass_gateway.decoding import FrameDecoder
 from tensormass_gateway.gateway import Gateway, serve
@@ -278,3 +278,73 @@ def test_the_command_serves_a_recording_without_a_daemon(viewer: Path, path: Pat
         finally:
             process.send_signal(signal.SIGINT)
         assert process.wait() == 0
+
+
+def burnt(revision: int) -> changes_pb2.SurfaceChanges:
+    """The one triangle of the recording dies, and comes back burnt."""
+    changes = changes_pb2.SurfaceChanges(topology_version=TOPOLOGY.version, revision=revision)
+    changes.bodies.add(
+        dead_triangles=np.array([0], "<u4").tobytes(),
+        appended_triangles=np.array([2, 1, 0], "<u4").tobytes(),
+        appended_kinds=b"\2",
+    )
+    return changes
+
+
+def happened(*kinds: int) -> event_pb2.SceneEvents:
+    message = event_pb2.SceneEvents(topology_version=TOPOLOGY.version)
+    for sequence, kind in enumerate(kinds, start=1):
+        # As the frame of the same number.
+        message.events.add(sequence=sequence, kind=kind, server_time_ns=2000 + 3 * sequence, text="2 mm³ burnt")
+    return message
+
+
+Kind = event_pb2.SceneEvent
+
+
+@asynchronous
+async def test_the_surface_of_a_recording_goes_forth_and_back(viewer: Path, tmp_path: Path) -> None:
+    reset = changes_pb2.SurfaceChanges(topology_version=TOPOLOGY.version, revision=5)
+    path = write_recording(
+        tmp_path / "burnt.mcap",
+        [10, 20, 30, 40, 50, 60, 70],
+        changing={
+            3: [burnt(2), happened(Kind.KIND_ABLATED)],
+            6: [reset, happened(Kind.KIND_ABLATED, Kind.KIND_RESET)],
+        },
+    )
+    index = RecordingIndex(path)
+    assert [index.changes(index.frame(at)) for at in (1, 2, 4, 5)] == [None, burnt(2), burnt(2), reset]
+    assert [len((index.events(index.frame(at)) or happened()).events) for at in (1, 2, 4, 5)] == [0, 1, 1, 2]
+    assert [(mark.kind, mark.text) for mark in index.marks] == [("ablated", "2 mm³ burnt.")]
+    async with playing(viewer, path) as gateway, browse(gateway, "liver") as page:
+        shown: dict[str, bytes] = {}
+
+        async def step_to(step: int) -> None:
+            while True:
+                name, payload = await page.binary()
+                await page.send(type="ack", stream=name)
+                shown[name] = payload
+                if name == Stream.FRAME and stream_pb2.Frame.FromString(payload).step == step:
+                    return
+
+        def revision() -> int:
+            return changes_pb2.SurfaceChanges.FromString(shown[Stream.CHANGES]).revision
+
+        await step_to(10)
+        assert Stream.CHANGES not in shown
+        assert Stream.EVENTS not in shown
+        await page.command("seek", "liver", time_s=0.21)
+        await step_to(30)
+        assert changes_pb2.SurfaceChanges.FromString(shown[Stream.CHANGES]) == burnt(2)
+        await page.command("seek", "liver", time_s=9.0)
+        await step_to(70)
+        assert revision() == 5
+        assert len(event_pb2.SceneEvents.FromString(shown[Stream.EVENTS]).events) == 2
+        await page.command("seek", "liver", time_s=0.31)
+        await step_to(40)
+        assert revision() == 2
+        await page.command("seek", "liver", time_s=0.0)
+        await step_to(10)
+        assert revision() == 0
+        assert not event_pb2.SceneEvents.FromString(shown[Stream.EVENTS]).events

@@ -417,6 +417,28 @@ def test_a_late_subscriber_gets_topology_and_status(
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
+def test_a_late_reader_gets_all_events(load: Callable[..., tm.SceneHandle], transport: Transport) -> None:
+    scene = load(block(), lockstep=True)
+    scene.step(2)
+    snapshot = scene.snapshot()
+    scene.reset()
+    scene.restore(snapshot)
+    scene.adjust(stiffness_factor={scene.topology().bodies[0].name: 2.0})
+    with scene.events(transport, timeout_s=DEADLINE_S) as events:
+        found = [next(events) for _ in range(3)]
+        assert [(event.sequence, event.kind, event.step) for event in found] == [
+            (1, "reset", 0),
+            (2, "restored", 2),
+            (3, "adjusted", 2),
+        ]
+        assert found[0].text == "the scene was reset"
+        scene.reset()
+        assert next(events).kind == "reset"
+    assert scene.frame().revision == 0
+    assert scene.frame().triangles(scene.topology().bodies[0].name).shape[1] == 3
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
 def test_poses_over_the_bus_move_the_tool_and_come_back(
     load: Callable[..., tm.SceneHandle], transport: Transport
 ) -> None:

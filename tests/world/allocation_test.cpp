@@ -66,6 +66,27 @@ TEST_P(StepLoop, AllocatesNothingWhenSpringsBreak) {
   EXPECT_EQ(world->last().broken_springs, 9u) << "springs broke among what ran";
 }
 
+/// Changes of the surface are shared, and events have a fixed size.
+TEST_P(StepLoop, AllocatesNothingForChangesAndEvents) {
+  const auto world = start(tests::block_with_probe());
+  LoopOutputs outputs(*world);
+  std::vector<SurfaceChangesPointer> made;
+  for (std::uint32_t revision = 1; revision <= 20; ++revision) {
+    made.push_back(std::make_shared<const SurfaceChanges>(
+        SurfaceChanges{.revision = revision, .bodies = std::vector<BodyChanges>(1)}));
+  }
+  const std::uint64_t before = allocations.load();
+  for (const SurfaceChangesPointer& changes : made) {
+    outputs.set_changes(changes);
+    outputs.add_event({.kind = EventKind::kAblated, .value = 1e-9});
+    ASSERT_TRUE(world->step(true));
+    outputs.note_guard();
+    outputs.take_step(Clock::now());
+    outputs.publish(true);
+  }
+  EXPECT_EQ(allocations.load() - before, 0u);
+}
+
 /// Loads whose factors change in every step.
 void schedule_loads(v1::Scene& scene) {
   const auto ramp = [](v1::Schedule& schedule) {

@@ -189,5 +189,62 @@ TEST(Messages, FrameHoldsThePositionsUnchanged) {
   EXPECT_TRUE(frame.attachment_points().empty() && frame.broken_springs().empty()) << "the scene has no attachments";
 }
 
+/// The world has appended vertices behind all visible points; a frame has them behind the vertices.
+TEST(Messages, FrameHasAppendedVerticesBehindTheOthers) {
+  model::Model model = two_bodies_and_a_probe();
+  model.visible.vertex_count -= 2;  // the last two points are ends of springs
+  const std::size_t points = model.visible.count();
+  std::vector<float> positions(3 * (points + 4));  // room for two more
+  std::iota(positions.begin(), positions.end(), 1.0f);
+  const std::vector<ToolReading> tools(1);
+  StepStamp stamp{7, 0.25, 9};
+  stamp.revision = 3;
+  stamp.appended_vertex_count = 2;
+  v1::Frame frame;
+  fill_frame(model, stamp, positions, tools, {}, frame);
+  EXPECT_EQ(frame.revision(), 3u);
+  std::vector<float> found(frame.positions().size() / sizeof(float)),
+      ends(frame.attachment_points().size() / sizeof(float));
+  std::memcpy(found.data(), frame.positions().data(), frame.positions().size());
+  std::memcpy(ends.data(), frame.attachment_points().data(), frame.attachment_points().size());
+  std::vector<float> wanted(positions.begin(), positions.begin() + 3 * (points - 2));
+  wanted.insert(wanted.end(), positions.begin() + 3 * points, positions.begin() + 3 * (points + 2));
+  EXPECT_EQ(found, wanted);
+  EXPECT_EQ(ends, std::vector<float>(positions.begin() + 3 * (points - 2), positions.begin() + 3 * points));
+}
+
+TEST(Messages, EventsSayInWordsWhatHappened) {
+  const model::Model model = two_bodies_and_a_probe();
+  EventsSlot slot{{}, 42};
+  slot.log.add({.kind = EventKind::kAblated,
+                .step = 5,
+                .body = 1,
+                .tool = 0,
+                .value = 2e-9,
+                .position_m = Vec3<double>(1, 2, 3)},
+               7);
+  slot.log.add({.kind = EventKind::kSevered, .value = 1}, 8);
+  slot.log.add({.kind = EventKind::kHeld,
+                .guard = {.step = 9, .first = {Breach::kNotFinite}, .last = {}, .outcome = GuardEvent::Outcome::kHeld}},
+               9);
+  v1::SceneEvents events;
+  fill_events(model, slot, events);
+  EXPECT_EQ(events.topology_version(), 42u);
+  ASSERT_EQ(events.events_size(), 3);
+  EXPECT_EQ(events.events(0).text(), "2 mm³ of body 'second' burnt away");
+  EXPECT_EQ(events.events(0).tool(), "probe");
+  EXPECT_EQ(events.events(0).position_m().z(), 3);
+  EXPECT_EQ(events.events(0).server_time_ns(), 7u);
+  EXPECT_EQ(events.events(1).text(), "1 spring severed");
+  EXPECT_FALSE(events.events(1).has_position_m());
+  EXPECT_NE(events.events(2).text().find("the tissue was held"), std::string::npos) << events.events(2).text();
+  for (int kind = v1::SceneEvent::KIND_ABLATED; kind <= v1::SceneEvent::KIND_HELD; ++kind) {
+    EventsSlot one{{}, 1};
+    one.log.add({.kind = static_cast<EventKind>(kind)}, 1);
+    fill_events(model, one, events);
+    EXPECT_FALSE(events.events(0).text().empty()) << kind;
+  }
+}
+
 }  // namespace
 }  // namespace tensormass::world

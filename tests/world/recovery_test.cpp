@@ -345,6 +345,14 @@ TEST_P(RunningRecovery, ARecoveryIsCountedToldAndMarked) {
     }
   }
   EXPECT_EQ(marked, flagged);
+  v1::SceneEvents events;
+  ASSERT_TRUE(runner->take_events(events));
+  std::vector<std::uint64_t> begun;
+  for (const v1::SceneEvent& event : events.events()) {
+    EXPECT_EQ(event.kind(), v1::SceneEvent::KIND_HELD);
+    begun.push_back(event.step());
+  }
+  EXPECT_EQ(begun, (std::vector<std::uint64_t>{4, 8})) << "once for each recovery";
   ASSERT_TRUE(runner->reset());
   EXPECT_EQ(runner->status().recoveries(), 0u);
 }

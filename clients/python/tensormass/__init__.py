@@ -28,6 +28,7 @@ from tensormass._src.connection import LOAD_TIMEOUT_S
 from tensormass._src.demo import builtin_scenes
 from tensormass._src.durations import DurationHistogram
 from tensormass._src.elastic_constants import lame, young_poisson
+from tensormass._src.events import Event, EventStream
 from tensormass._src.fields import FIELD_NAMES, NODE_FIELDS, FieldName, Fields
 from tensormass._src.findings import FindingWarning
 from tensormass._src.frames import Feedback, Frame
@@ -77,6 +78,8 @@ __all__ = [
     "DeadlineExceededError",
     "DurationHistogram",
     "ElementBlock",
+    "Event",
+    "EventStream",
     "FailedPreconditionError",
     "Feedback",
     "FieldName",

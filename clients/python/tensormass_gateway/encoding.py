@@ -7,7 +7,8 @@ parts that do not depend on the viewer: the grid of a frame and its normals.
 
 The codecs delta and meshopt refer to the last keyframe that the viewer acknowledged. A viewer that has lost it, or
 never had one, acknowledges without a keyframe and gets one with its next frame. A frame that moved too far from its
-keyframe becomes a keyframe itself, because it would hardly be smaller otherwise.
+keyframe becomes a keyframe itself, because it would hardly be smaller otherwise. So does one of another revision of
+the surface.
 
 A viewer that asked for less detail gets a SimplifiedFrame (detail.py), which is encoded in the same way.
 """
@@ -78,6 +79,8 @@ class Keyframe:
     grid: Grid
     cells: npt.NDArray[np.uint16]
     """q of its vertices, [3, vertex_count]."""
+    revision: int = 0
+    """Revision of its surface. With another one, a vertex of the same number may be another point."""
 
 
 class SharedFrame:
@@ -203,14 +206,14 @@ def encode(
             encoded.codec, encoded.positions = gateway_pb2.EncodedFrame.CODEC_Q16, frame.packed_cells
         _write_grid(encoded, frame.own_grid, frame.largest_m)
         if choice.codec is not Codec.Q16:
-            keyframe = Keyframe(next_number, frame.own_grid, frame.own_cells)
+            keyframe = Keyframe(next_number, frame.own_grid, frame.own_cells, frame.head.revision)
             encoded.keyframe = next_number
     return frame.encoded_key + encoded.SerializeToString(), keyframe
 
 
 def _write_differences(encoded: gateway_pb2.EncodedFrame, frame: SharedFrame, held: Keyframe, codec: Codec) -> bool:
     """Writes the differences of a frame to a keyframe, and tells whether they are worth it."""
-    if held.cells.shape[1] != frame.vertex_count:
+    if held.cells.shape[1] != frame.vertex_count or held.revision != frame.head.revision:
         return False
     # On an axis along which the keyframe had no extent, its grid has one place only.
     flat = held.grid.cell_m == 0

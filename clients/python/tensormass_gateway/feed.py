@@ -12,7 +12,7 @@ import zmq.asyncio
 from google.protobuf.message import DecodeError
 
 from tensormass._shared.client_keys import ClientKeys, guard_socket
-from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, control_pb2, control_pb2_grpc, event_pb2, scene_pb2, stream_pb2
 from tensormass_gateway.fields import FieldPoll
 from tensormass_gateway.outbox import Stream, Watcher
 from tensormass_gateway.streams import SceneStreams
@@ -26,7 +26,7 @@ MAX_BUS_MESSAGE_BYTES = 512 << 20
 
 RPC_TIMEOUT_S = 5.0
 
-BUS_STREAMS = (Stream.TOPOLOGY, Stream.STATUS, Stream.FRAME)
+BUS_STREAMS = (Stream.TOPOLOGY, Stream.CHANGES, Stream.STATUS, Stream.EVENTS, Stream.FRAME)
 """Streams that come from the bus. The gateway makes the others."""
 
 
@@ -59,7 +59,9 @@ class Feed(SceneStreams):
         self.close()
         receivers = {
             Stream.TOPOLOGY: self._on_topology,
+            Stream.CHANGES: self._on_changes,
             Stream.STATUS: self._on_status,
+            Stream.EVENTS: self._on_events,
             Stream.FRAME: self._on_frame,
         }
         self._tasks = [background(self._receive(stream, handler)) for stream, handler in receivers.items()]
@@ -131,6 +133,8 @@ class Feed(SceneStreams):
                 reply = await self._daemon.control.GetFrame(
                     control_pb2.GetFrameRequest(scene=self.scene), timeout=RPC_TIMEOUT_S
                 )
+                if reply.HasField("changes"):
+                    self._take_changes(reply.changes)
                 if Stream.FRAME not in self._latest and reply.frame.positions:
                     self.publish(Stream.FRAME, self.shared(self.message(Stream.FRAME, reply.frame), reply.frame))
         except grpc.aio.AioRpcError as error:
@@ -145,6 +149,24 @@ class Feed(SceneStreams):
 
     async def _on_topology(self, payload: bytes) -> None:
         self.set_topology(stream_pb2.Topology.FromString(payload))
+
+    async def _on_changes(self, payload: bytes) -> None:
+        changes = changes_pb2.SurfaceChanges.FromString(payload)
+        # Changes may overtake their topology, like a frame.
+        if self.topology is None or self.topology.version < changes.topology_version:
+            await self._fetch_topology()
+        self._take_changes(changes)
+
+    def _take_changes(self, changes: changes_pb2.SurfaceChanges) -> None:
+        try:
+            self.set_changes(changes)
+        except ValueError as error:
+            self._daemon.malformed += 1
+            log.warning("scene %s: its surface stays as it was: %s", self.scene, error)
+
+    async def _on_events(self, payload: bytes) -> None:
+        event_pb2.SceneEvents.FromString(payload)
+        self.publish(Stream.EVENTS, self.key(Stream.EVENTS) + payload)
 
     async def _on_status(self, payload: bytes) -> None:
         self.step = stream_pb2.SceneStatus.FromString(payload).step

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._shared.surfaces import Surface
 from tensormass.v1 import stream_pb2
 
 SCALE = 127
@@ -16,8 +17,18 @@ SCALE = 127
 class Triangles:
     """The triangles of all bodies in a topology."""
 
-    def __init__(self, topology: stream_pb2.Topology) -> None:
-        """Raises ValueError if a triangle names a vertex that its body does not have."""
+    def __init__(
+        self, topology: stream_pb2.Topology, surface: Surface | None = None, vertex_count: int | None = None
+    ) -> None:
+        """Makes the triangles of a topology.
+
+        Args:
+            surface: the topology with its changes; None: it has none.
+            vertex_count: positions in the frames, if they are of another revision than the surface.
+
+        Raises:
+            ValueError: a triangle names a vertex that its body does not have.
+        """
         parts = [np.empty((0, 3), np.int64)]
         self.vertex_count = 0
         for body in topology.bodies:
@@ -26,6 +37,9 @@ class Triangles:
                 raise ValueError(f"a triangle of body {body.name!r} names a vertex that it does not have")
             parts.append(triangles + self.vertex_count)
             self.vertex_count += body.vertex_count
+        if surface is not None and surface.is_changed:
+            self.vertex_count = count = surface.vertex_count if vertex_count is None else vertex_count
+            parts = [part.places[surface.triangles(body, count)[0]] for body, part in enumerate(surface.parts)]
         self._corners = np.ascontiguousarray(np.concatenate(parts).T)
 
     @cached_property

@@ -18,14 +18,19 @@ class Stream(enum.StrEnum):
     """Streams that a browser gets, in the order in which they leave: a frame needs its topology."""
 
     TOPOLOGY = "topology"
+    CHANGES = "changes"
     REST = "rest"
     STATUS = "status"
+    EVENTS = "events"
     FRAME = "frame"
     FIELD = "field"
 
 
-OF_THE_TOPOLOGY = frozenset({Stream.REST, Stream.FRAME, Stream.FIELD})
-"""Streams whose messages have a value for each vertex."""
+OF_THE_TOPOLOGY = frozenset({Stream.CHANGES, Stream.REST, Stream.FRAME, Stream.FIELD})
+"""Streams whose messages mean nothing without their topology."""
+
+OF_THE_SCENE = frozenset({Stream.STATUS, Stream.EVENTS})
+"""Streams that are the same in every detail."""
 
 
 Message: TypeAlias = bytes | SharedFrame

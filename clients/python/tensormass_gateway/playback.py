@@ -13,9 +13,10 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from tensormass import TensormassError
-from tensormass.v1 import gateway_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, event_pb2, gateway_pb2, scene_pb2, stream_pb2
 from tensormass_gateway.control import Action, Command, CommandError, Outcome
 from tensormass_gateway.outbox import Stream, Watcher
 from tensormass_gateway.player import Player, Recording
@@ -27,6 +28,15 @@ SERVER = "recording"
 
 SHORTEST_WAIT_S = 1 / 60
 """Frames that follow each other faster are skipped."""
+
+
+class _Shown(NamedTuple):
+    """A frame of the recording with everything that belongs to it."""
+
+    frame: stream_pb2.Frame
+    status: stream_pb2.SceneStatus
+    changes: changes_pb2.SurfaceChanges | None
+    events: event_pb2.SceneEvents | None
 
 
 class RecordedStreams(SceneStreams):
@@ -74,7 +84,7 @@ class Playback:
         self._commanded = asyncio.Event()
         self._shown: int | None = None
         self._status: stream_pb2.SceneStatus | None = None
-        self._sent_status = b""
+        self._sent_status = self._sent_events = b""
         self._sequence = 0
 
     async def follow(self) -> None:
@@ -179,23 +189,37 @@ class Playback:
         if index != self._shown:
             try:
                 # Reads the disk, while browsers are served.
-                frame, status = await asyncio.to_thread(self._read, index)
+                shown = await asyncio.to_thread(self._read, index)
             except TensormassError as error:
                 self.player.pause()
                 self._tell(str(error))
             else:
                 self._tell("")
-                self._publish_status(status, playing=playing)
-                self._publish_frame(frame)
+                self._publish_changes(shown)
+                self._publish_status(shown.status, playing=playing)
+                self._publish_frame(shown.frame)
             self._shown = index
         elif self._status is not None:
             self._publish_status(self._status, playing=playing)
         self._on_head()
 
-    def _read(self, index: int) -> tuple[stream_pb2.Frame, stream_pb2.SceneStatus]:
+    def _read(self, index: int) -> _Shown:
         frame = self._recording.frame(index)
-        status = self._recording.status(index)
-        return frame, status or stream_pb2.SceneStatus(server_time_ns=frame.server_time_ns)
+        status = self._recording.status(index) or stream_pb2.SceneStatus(server_time_ns=frame.server_time_ns)
+        return _Shown(frame, status, self._recording.changes(frame), self._recording.events(frame))
+
+    def _publish_changes(self, shown: _Shown) -> None:
+        """Publishes surface and events as they were at a frame, which may be earlier than what is on show."""
+        version = self._recording.topology.version
+        try:
+            as_loaded = changes_pb2.SurfaceChanges(topology_version=version)
+            self._streams.set_changes(shown.changes or as_loaded, may_go_back=True)
+        except ValueError as error:
+            self._tell(str(error))
+        message = self._streams.message(Stream.EVENTS, shown.events or event_pb2.SceneEvents(topology_version=version))
+        if message != self._sent_events and (self._sent_events or shown.events is not None):
+            self._sent_events = message
+            self._streams.publish(Stream.EVENTS, message)
 
     def _publish_frame(self, frame: stream_pb2.Frame) -> None:
         # Counts what is sent, because a gap in the recorded sequence is not a frame that a browser has missed.

@@ -15,7 +15,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
-from tensormass.v1 import recording_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, event_pb2, recording_pb2, scene_pb2, stream_pb2
 
 
 class Mark(NamedTuple):
@@ -23,7 +23,7 @@ class Mark(NamedTuple):
 
     time_s: float
     kind: str
-    """adjust, contact, guard, recovery, reset, restore or stop"""
+    """ablated, adjust, contact, guard, piece_free, recovery, reset, restore, severed or stop"""
     text: str
 
 
@@ -47,6 +47,14 @@ class Recording(Protocol):
     def frame(self, index: int) -> stream_pb2.Frame: ...
     def status(self, index: int) -> stream_pb2.SceneStatus | None:
         """Returns the last status before a frame; None if there was none."""
+        ...
+
+    def changes(self, frame: stream_pb2.Frame) -> changes_pb2.SurfaceChanges | None:
+        """Returns the changes of the surface that a frame shows; None: none are recorded."""
+        ...
+
+    def events(self, frame: stream_pb2.Frame) -> event_pb2.SceneEvents | None:
+        """Returns the last events up to a frame; None: none are recorded."""
         ...
 
 

@@ -1,7 +1,8 @@
 """The newest messages of one scene, for all browsers that watch it.
 
 Every frame stays behind its topology: a browser never gets positions that do not fit what it draws. A browser that asks
-for less detail gets neither topology nor frames until its level (detail.py) is made.
+for less detail gets neither topology nor frames until its level (detail.py) is made. While a surface has changes it is
+not simplified, and every browser gets the whole.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ import numpy as np
 import numpy.typing as npt
 from google.protobuf.message import Message
 
-from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass._shared.surfaces import Surface
+from tensormass.v1 import changes_pb2, scene_pb2, stream_pb2
 from tensormass_gateway.choice import MAX_DETAIL
 from tensormass_gateway.detail import MAX_LEVELS, SIMPLIFIED_TOPOLOGY, SIMPLIFIER, Level
 from tensormass_gateway.encoding import SharedFrame
 from tensormass_gateway.normals import Triangles
-from tensormass_gateway.outbox import OF_THE_TOPOLOGY, Stream, Watcher
+from tensormass_gateway.outbox import OF_THE_SCENE, OF_THE_TOPOLOGY, Stream, Watcher
 from tensormass_gateway.outbox import Message as Outgoing
 from tensormass_gateway.surface import MismatchError, rest_positions
 from tensormass_gateway.tasks import background
@@ -38,6 +40,8 @@ class SceneStreams:
         self.topology: stream_pb2.Topology | None = None
         self._latest: dict[Stream, Outgoing] = {}
         self._triangles: Triangles | None = None
+        self.surface: Surface | None = None
+        """The topology with its changes; None without a topology."""
         self._levels: dict[float, Level | None] = {}
         """Levels of the topology by detail; None: it cannot be simplified, so its viewers get the whole."""
         self._awaited: set[float] = set()
@@ -62,7 +66,7 @@ class SceneStreams:
         self._tasks = []
         self._latest.clear()
         self._forget_levels()
-        self.topology = None
+        self.topology = self.surface = None
 
     def add(self, watcher: Watcher) -> None:
         """Sends the newest messages to a watcher at once, and every new one from now on."""
@@ -97,22 +101,54 @@ class SceneStreams:
         if topology != self.topology:
             self.topology = topology
             self._forget_levels()
-            self._triangles = self._read_triangles(topology)
-            self._latest.pop(Stream.FRAME, None)
-            self._latest.pop(Stream.REST, None)
+            self.surface = Surface(topology)
+            self._triangles = self._read_triangles(self.surface)
+            for stream in OF_THE_TOPOLOGY:
+                self._latest.pop(stream, None)
             self.publish(Stream.TOPOLOGY, self.message(Stream.TOPOLOGY, topology))
             self.learn()
 
-    def _read_triangles(self, topology: stream_pb2.Topology) -> Triangles | None:
+    def set_changes(self, changes: changes_pb2.SurfaceChanges, *, may_go_back: bool = False) -> None:
+        """Takes changes of the topology, unless newer ones are known.
+
+        Args:
+            may_go_back: takes older ones, too, because a recording is shown from an earlier time on.
+
+        Raises:
+            ValueError: they do not fit the topology; the ones before stay.
+        """
+        before = self.surface
+        if before is None or changes.topology_version != before.topology.version:
+            return
+        if changes.revision == before.revision or (changes.revision < before.revision and not may_go_back):
+            return
+        surface = Surface(before.topology, changes)
+        self.surface = surface
+        self._triangles = self._read_triangles(surface)
+        self._latest[Stream.CHANGES] = self.message(Stream.CHANGES, changes)
+        for watcher in self.watchers:
+            if watcher.detail != MAX_DETAIL and surface.is_changed != before.is_changed:
+                self.show_detail(watcher)
+            else:
+                self._offer(watcher, Stream.CHANGES)
+
+    @property
+    def is_changed(self) -> bool:
+        """Tells whether the surface differs from its topology."""
+        return self.surface is not None and self.surface.is_changed
+
+    def _read_triangles(self, surface: Surface) -> Triangles | None:
         try:
-            return Triangles(topology)
+            return Triangles(surface.topology, surface)
         except ValueError as error:
             log.warning("scene %s: its frames get no normals: %s", self.scene, error)
             return None
 
     def shared(self, message: bytes, frame: stream_pb2.Frame) -> SharedFrame:
         """Makes a frame that each browser gets in its own codec. Takes `frame` over."""
-        return SharedFrame(message, self.key(ENCODED_FRAME), frame, self._triangles)
+        # Changes and frames may overtake each other. The page then computes the normals.
+        fits = self.surface is not None and self.surface.revision == frame.revision
+        return SharedFrame(message, self.key(ENCODED_FRAME), frame, self._triangles if fits else None)
 
     def publish(self, stream: Stream, message: Outgoing) -> None:
         """Gives a message to all watchers, and to those that come before the next one."""
@@ -132,7 +168,8 @@ class SceneStreams:
 
     def shown_version(self, watcher: Watcher) -> int | None:
         """Returns the version of the topology that a watcher shows; None while it is not made."""
-        if self.topology is None or (watcher.detail != MAX_DETAIL and watcher.detail not in self._levels):
+        waits = watcher.detail != MAX_DETAIL and not self.is_changed and watcher.detail not in self._levels
+        if self.topology is None or waits:
             return None
         level = self._level_of(watcher)
         return self.topology.version if level is None else level.version
@@ -143,14 +180,15 @@ class SceneStreams:
         return values if level is None else values[level.vertices]
 
     def _level_of(self, watcher: Watcher) -> Level | None:
-        return None if watcher.detail == MAX_DETAIL else self._levels.get(watcher.detail)
+        whole = watcher.detail == MAX_DETAIL or self.is_changed
+        return None if whole else self._levels.get(watcher.detail)
 
     def _offer(self, watcher: Watcher, stream: Stream) -> None:
         """Puts the newest message of a stream into a watcher's outbox, in its detail."""
         message = self._latest.get(stream)
         if message is None:
             return
-        if stream is not Stream.STATUS and watcher.detail != MAX_DETAIL:
+        if stream not in OF_THE_SCENE and watcher.detail != MAX_DETAIL and not self.is_changed:
             if watcher.detail not in self._levels:
                 self._await_level(watcher.detail)
                 return
@@ -163,6 +201,8 @@ class SceneStreams:
         """Returns a message in less detail; None: it is not of this topology."""
         if isinstance(message, SharedFrame):
             return level.frame(message, self.key(stream)) if level.fits(message) else None
+        if stream is Stream.CHANGES:
+            return None  # they are empty
         if stream is Stream.TOPOLOGY:
             return self.key(SIMPLIFIED_TOPOLOGY) + level.message().SerializeToString()
         assert stream is Stream.REST
@@ -198,6 +238,8 @@ class SceneStreams:
         if wanted:
             self._levels[detail] = level
             self._drop_levels(detail)
+            if self.is_changed:
+                return
             for watcher in self.watchers:
                 if watcher.detail == detail:
                     self.show_detail(watcher)

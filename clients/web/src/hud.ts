@@ -3,6 +3,7 @@ import { find, setText } from "./dom";
 import type { Notice, Situation } from "./situation";
 import type { DaemonState } from "./generated/tensormass/v1/gateway_pb";
 import { SceneState, type Status } from "./stream/decode";
+import { eventLabel, eventList } from "./stream/events";
 import type { Finding } from "./stream/findings";
 import type { Readings } from "./stream/session";
 
@@ -60,7 +61,7 @@ export class Hud {
   }
 
   showReadings(readings: Readings): void {
-    const { currentStatus: status, findings, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced } = readings;
+    const { currentStatus: status, findings, events, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced } = readings;
     write("physics", status ? status.reachedRateHz.toFixed(status.reachedRateHz < 100 ? 1 : 0) : UNKNOWN);
     write("target", targetText(readings.status));
     write("drawn", drawRateHz === null ? UNKNOWN : drawRateHz.toFixed(drawRateHz < 10 ? 1 : 0));
@@ -74,6 +75,11 @@ export class Hud {
     write("iterations", status ? String(status.cgIterations) : UNKNOWN);
     write("summary", status ? `${trim(status.reachedRateHz)} Hz · step ${(1e3 * status.stepTimeP50S).toFixed(1)} ms` : "Readings");
     write("residual", status ? `res. ${status.cgRelativeResidual.toExponential(0)}` : "");
+    const newest = events.at(-1);
+    element("events-row").hidden = newest === undefined;
+    element("events-row").title = eventList(events);
+    write("event", newest === undefined ? "" : eventLabel(newest));
+    write("event-step", newest === undefined ? "" : `step ${newest.step}`);
     element("recoveries-row").hidden = !status?.recoveries;
     write("recoveries", String(status?.recoveries ?? 0));
     write("recovering-steps", status ? recoveredText(status) : "");

@@ -250,6 +250,7 @@ function stateOf({ session, viewer }: Tile): object {
     scene: session.watched,
     topologyVersion: store.topology?.version.toString() ?? null,
     vertexCount: store.topology?.vertexCount ?? 0,
+    revision: store.changes?.revision ?? 0,
     step: store.frame === null ? null : Number(store.frame.step),
     tools: store.frame?.tools ?? [],
     strands: viewer.strandCount,

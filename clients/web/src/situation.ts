@@ -38,6 +38,8 @@ export interface Scene {
   readonly status: Status | null;
   /** Why the newest topology or frame is not on show; null while it is. */
   readonly unshown: string | null;
+  /** Why the newest changes of the surface are not on show; null while they are. */
+  readonly unshownChanges: string | null;
 }
 
 /**
@@ -48,8 +50,9 @@ export function sceneSituation(
   daemon: DaemonState,
   wanted: string | null,
   watched: string | null,
-  { topology, frame, status, unshown }: Scene,
+  scene: Scene,
 ): Situation {
+  const { topology, frame, status } = scene;
   if (daemon.problem !== "") {
     const notice = { tone: "warning", title: "Waiting for the daemon", detail: daemon.problem } as const;
     return { tone: "bad", text: "No daemon", notice };
@@ -64,7 +67,7 @@ export function sceneSituation(
       .join(" ");
     return { tone: "waiting", text: "No scene", notice: { tone: "quiet", title: "Waiting for a scene", detail } };
   }
-  const trouble = troubleOf({ topology, frame, status, unshown });
+  const trouble = troubleOf(scene);
   if (trouble !== null) {
     return trouble;
   }
@@ -110,7 +113,7 @@ export function recordingSituation(recording: ShownRecording, head: PlayHead | n
 }
 
 /** The situation of a scene that a guard stopped, or whose frames cannot be drawn; null: neither. */
-function troubleOf({ frame, status, unshown }: Scene): Situation | null {
+function troubleOf({ frame, status, unshown, unshownChanges }: Scene): Situation | null {
   if (status?.state === SceneState.FAULTED) {
     const notice = { tone: "warning", title: "Scene stopped", detail: status.fault } as const;
     return { tone: "bad", text: "Stopped", notice };
@@ -118,6 +121,10 @@ function troubleOf({ frame, status, unshown }: Scene): Situation | null {
   if (unshown !== null) {
     const notice = { tone: "warning", title: "New frames cannot be shown", detail: unshown } as const;
     return { tone: "bad", text: frame === null ? "No picture" : "Frozen", notice };
+  }
+  if (unshownChanges !== null) {
+    const notice = { tone: "warning", title: "The surface has changed and cannot be shown", detail: unshownChanges } as const;
+    return { tone: "bad", text: "Outdated", notice };
   }
   return null;
 }

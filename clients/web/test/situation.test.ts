@@ -7,7 +7,7 @@ import { linkSituation, recordingSituation, sceneSituation, type Scene } from ".
 import { SceneState, decodeFrame, decodeTopology } from "../src/stream/decode";
 import { DAEMON, frameBytes, topologyBytes } from "./messages";
 
-const SHOWN: Scene = { topology: decodeTopology(topologyBytes()), frame: decodeFrame(frameBytes()), status: null, unshown: null };
+const SHOWN: Scene = { topology: decodeTopology(topologyBytes()), frame: decodeFrame(frameBytes()), status: null, unshown: null, unshownChanges: null };
 
 function inState(state: SceneState, scene: Partial<Scene> = {}) {
   const status = create(SceneStatusSchema, { state, fault: "det F is 0" });

@@ -13,6 +13,7 @@ from tensormass._shared.errors import (
     InternalError,
     NotFoundError,
 )
+from tensormass._shared.surfaces import Surface
 from tensormass._src import notebook
 from tensormass._src.springs import Springs, broken_flags, spring_count
 from tensormass.v1 import scene_pb2, stream_pb2
@@ -129,7 +130,8 @@ class Frame:
     simulated_time_s: float
     #: End of that step on the server's clock, nanoseconds since the Unix epoch.
     server_time_ns: int
-    #: Vertices of all bodies, one after the other, float32 [vertex_count, 3] m (read-only).
+    #: Vertices of all bodies, one after the other, then those that changes appended, float32 [vertex_count, 3] m
+    #: (read-only). `vertices` and `triangles` sort them by body.
     positions: npt.NDArray[np.float32]
     #: Feedback of each tool, by name.
     tools: dict[str, Feedback]
@@ -137,11 +139,18 @@ class Frame:
     attachment_points: npt.NDArray[np.float32]
     #: Whether each spring is broken, one attachment after the other, bool [spring_count].
     broken_springs: npt.NDArray[np.bool_]
+    #: Revision of the surface: 0 as in the topology, and one more with each change.
+    revision: int
+    #: The topology with the newest changes that are known. They may be newer or older than the frame.
+    surface: Surface
 
     def _repr_html_(self) -> str:
         rows = [["step", f"{self.step:,} at {notebook.quantity(self.simulated_time_s, 's')}"]]
         rows += [
-            [f"body {body.name}", f"{body.vertex_count:,} vertices, {len(body.triangles) // 12:,} triangles"]
+            [
+                f"body {body.name}",
+                f"{len(self.vertices(body.name)):,} vertices, {len(self.triangles(body.name)):,} triangles",
+            ]
             for body in self.topology.bodies
         ]
         first = 0
@@ -154,9 +163,22 @@ class Frame:
         return notebook.table(f"frame {self.sequence} of {self.topology.scene}", rows)
 
     def vertices(self, body: str) -> npt.NDArray[np.float32]:
-        """Returns the part of `positions` that belongs to a body, [vertex_count, 3] m."""
-        surface = find_body(self.topology, body)
-        return self.positions[surface.first_vertex : surface.first_vertex + surface.vertex_count]
+        """Returns the vertices of a body, those that changes appended last, [vertex_count, 3] m."""
+        return self.surface.vertices(self._place(body), self.positions)
+
+    def triangles(self, body: str) -> npt.NDArray[np.uint32]:
+        """Returns the visible triangles of a body, [triangle_count, 3] places in `vertices`.
+
+        Those that were burnt or cut away are left out, and the faces behind them are there.
+        """
+        return self.surface.triangles(self._place(body), len(self.positions))[0]
+
+    def faces(self, body: str) -> npt.NDArray[np.uint8]:
+        """Returns what each of the `triangles` shows, [triangle_count]: 0 outer surface, 1 cut face, 2 burnt face."""
+        return self.surface.triangles(self._place(body), len(self.positions))[1]
+
+    def _place(self, body: str) -> int:
+        return list(self.topology.bodies).index(find_body(self.topology, body))
 
     def springs(self, attachment: str) -> Springs:
         """Returns the springs of an attachment: their ends, tensions, and which are broken.
@@ -174,17 +196,22 @@ class Frame:
         return Springs.from_message(message, self.attachment_points, broken)
 
     @staticmethod
-    def from_message(message: stream_pb2.Frame, topology: stream_pb2.Topology) -> Frame:
+    def from_message(message: stream_pb2.Frame, topology: stream_pb2.Topology, surface: Surface | None = None) -> Frame:
         """Decodes a message.
+
+        Args:
+            surface: the topology with its changes; None: it has none.
 
         Raises:
             InternalError: its positions or springs do not fit the topology.
         """
-        size = frame_size_bytes(topology)
-        if len(message.positions) != size:
+        surface = surface if surface is not None else Surface(topology)
+        if not fits(message, surface):
+            needs = frame_size_bytes(topology)
+            more = " or more" if message.revision else ""
             raise InternalError(
                 f"frame {message.sequence} of {topology.scene!r} has {len(message.positions)} bytes of positions; "
-                f"its topology needs {size}"
+                f"its topology needs {needs}{more}"
             )
         if len(message.attachment_points) != 12 * topology.attachment_point_count:
             raise InternalError(
@@ -202,12 +229,22 @@ class Frame:
             tools={tool.tool: Feedback.from_message(tool) for tool in message.tools},
             attachment_points=np.frombuffer(message.attachment_points, dtype="<f4").reshape(-1, 3),
             broken_springs=broken_flags(message.broken_springs, springs),
+            revision=message.revision,
+            surface=surface,
         )
 
 
 def frame_size_bytes(topology: stream_pb2.Topology) -> int:
-    """Returns the size of `positions` in a frame of this topology [bytes]."""
+    """Returns the size of `positions` in a frame of this topology without changes [bytes]."""
     return 12 * sum(body.vertex_count for body in topology.bodies)
+
+
+def fits(frame: stream_pb2.Frame, surface: Surface) -> bool:
+    """Tells whether a frame has as many positions as its revision has. Of an unknown revision: whether it may."""
+    size, base = len(frame.positions), 12 * surface.base_count
+    if frame.revision == surface.revision:
+        return size == 12 * surface.vertex_count
+    return size % 12 == 0 and (size >= base if frame.revision else size == base)
 
 
 def find_body(topology: stream_pb2.Topology, body: str) -> stream_pb2.BodySurface:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -12,20 +13,28 @@ import numpy as np
 import numpy.typing as npt
 
 from tensormass._shared import defaults
-from tensormass._shared.errors import FailedPreconditionError, InvalidArgumentError, NotFoundError, TensormassError
+from tensormass._shared.errors import (
+    FailedPreconditionError,
+    InternalError,
+    InvalidArgumentError,
+    NotFoundError,
+    TensormassError,
+)
 from tensormass._shared.findings import key_of, of_results
+from tensormass._shared.surfaces import Surface
 from tensormass._shared.vectors import Vector, vector3
 from tensormass._src import findings, following, notebook
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
 from tensormass._src.durations import DurationHistogram
+from tensormass._src.events import EventStream
 from tensormass._src.fields import FieldName, Fields, field_numbers
-from tensormass._src.frames import Feedback, Frame, find_body, find_tool, frame_size_bytes
+from tensormass._src.frames import Feedback, Frame, find_tool, fits
 from tensormass._src.poses import PoseSender, PoseSequence
 from tensormass._src.scene_report import REPORT_FIELDS, report_path, write_report
 from tensormass._src.step_record import StepRecord
 from tensormass._src.streams import Closing, Transport
 from tensormass._src.subscriptions import Subscription
-from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, control_pb2, event_pb2, scene_pb2, stream_pb2
 
 
 class SceneHandle:
@@ -52,6 +61,9 @@ class SceneHandle:
         self.message = message
         self._connection = connection
         self._topology: stream_pb2.Topology | None = None
+        #: The newest changes of the surface, of this topology or a newer one.
+        self._changes = changes_pb2.SurfaceChanges()
+        self._surface: Surface | None = None
         self._poses: dict[str, PoseSequence] = {}
         self._followed: following.Followed | None = None
         self._warned: set[tuple[int, str, str, str]] = set()
@@ -219,8 +231,7 @@ class SceneHandle:
             NotFoundError: no such body.
         """
         frame = self.frame()
-        triangles = np.frombuffer(find_body(frame.topology, body).triangles, dtype="<u4").reshape(-1, 3)
-        return frame.vertices(body).astype(np.float64), triangles.copy()
+        return frame.vertices(body).astype(np.float64), frame.triangles(body).copy()
 
     def topology(self) -> stream_pb2.Topology:
         """Returns what does not change between frames: bodies, tools and triangles."""
@@ -235,6 +246,8 @@ class SceneHandle:
         """Returns the surfaces after the last step."""
         while True:
             reply = self._connection.call("GetFrame", control_pb2.GetFrameRequest(scene=self.name))
+            if reply.HasField("changes"):
+                self._take_changes(reply.changes)
             frame = self._decode(reply.frame)
             if frame is not None:
                 return frame
@@ -243,10 +256,22 @@ class SceneHandle:
         """Subscribes to the frames: `for frame in scene.frames(): ...`.
 
         The first item is the present state, even of a paused scene. Each later item is the newest frame, and frames in
-        between are skipped. Waits at most `timeout_s` for each.
+        between are skipped. Waits at most `timeout_s` for each. If the surface changes while the scene steps,
+        `Frame.vertices` and `Frame.triangles` follow.
         """
-        subscription = self._connection.data_plane.subscribe(self.name, "frame", stream_pb2.Frame, transport)
-        return FrameStream(self, subscription, timeout_s)
+        plane = self._connection.data_plane
+        subscription = plane.subscribe(self.name, "frame", stream_pb2.Frame, transport)
+        follow = partial(plane.subscribe, self.name, "changes", changes_pb2.SurfaceChanges, transport)
+        return FrameStream(self, subscription, timeout_s, follow)
+
+    def events(self, transport: Transport = "zeromq", *, timeout_s: float | None = None) -> EventStream:
+        """Subscribes to what happens in the scene: `for event in scene.events(): ...`.
+
+        Each event comes once, in order. The first ones may be the last 64 of the past. Waits at most `timeout_s` for
+        each; None: until one comes.
+        """
+        subscription = self._connection.data_plane.subscribe(self.name, "events", event_pb2.SceneEvents, transport)
+        return EventStream(subscription, timeout_s)
 
     def statuses(self, transport: Transport = "zeromq") -> Subscription[stream_pb2.SceneStatus]:
         """Subscribes to the status of the scene."""
@@ -387,11 +412,36 @@ class SceneHandle:
         if (
             topology is None
             or topology.version != frame.topology_version
-            or len(frame.positions) != frame_size_bytes(topology)
+            or not fits(frame, self._surface_of(topology))
         ):
             # A daemon that was started again sends frames a moment before it answers calls.
             topology = self._fetch_topology(waits=True)
-        return Frame.from_message(frame, topology) if topology.version <= frame.topology_version else None
+        if topology.version > frame.topology_version:
+            return None
+        return Frame.from_message(frame, topology, self._surface_of(topology))
+
+    def _take_changes(self, changes: changes_pb2.SurfaceChanges) -> None:
+        """Takes changes of the surface, unless newer ones are known."""
+        known = self._changes
+        if (changes.topology_version, changes.revision) > (known.topology_version, known.revision):
+            self._changes = changes
+
+    def _surface_of(self, topology: stream_pb2.Topology) -> Surface:
+        """Returns a topology with the newest changes.
+
+        Raises:
+            InternalError: changes do not fit it. They are forgotten.
+        """
+        newest = self._changes if self._changes.topology_version == topology.version else None
+        known = self._surface
+        revision = newest.revision if newest is not None else 0
+        if known is None or known.topology is not topology or known.revision != revision:
+            try:
+                known = self._surface = Surface(topology, newest)
+            except ValueError as error:
+                self._changes = known.changes if known is not None else changes_pb2.SurfaceChanges()
+                raise InternalError(f"scene {self.name!r}: {error}") from error
+        return known
 
 
 def _read(path: Path) -> bytes:
@@ -419,11 +469,24 @@ def _follows(frame: Frame, first: Frame) -> bool:
 class FrameStream(Closing, Iterator[Frame]):
     """Iterates over the frames of a scene; see `SceneHandle.frames`."""
 
-    def __init__(self, scene: SceneHandle, subscription: Subscription[stream_pb2.Frame], timeout_s: float) -> None:
+    def __init__(
+        self,
+        scene: SceneHandle,
+        subscription: Subscription[stream_pb2.Frame],
+        timeout_s: float,
+        follow_changes: Callable[[], Subscription[changes_pb2.SurfaceChanges]] | None = None,
+    ) -> None:
+        """Makes a stream.
+
+        Args:
+            follow_changes: subscribes to the changes of the surface; called with the first frame of a changed one.
+        """
         #: Number of frames that newer ones replaced before they were taken.
         self.dropped_count = 0
         self._scene = scene
         self._subscription = subscription
+        self._follow_changes = follow_changes
+        self._changes: Subscription[changes_pb2.SurfaceChanges] | None = None
         self._timeout_s = timeout_s
         # The frame of the call at the start, and the newest one that came, whether it was handed out or not.
         self._first: Frame | None = None
@@ -434,7 +497,10 @@ class FrameStream(Closing, Iterator[Frame]):
             self._first = self._last = self._scene.frame()
             return self._first
         while True:
-            frame = self._scene._decode(self._subscription.receive(self._timeout_s))
+            message = self._subscription.receive(self._timeout_s)
+            if message.revision > 0:
+                self._read_changes()
+            frame = self._scene._decode(message)
             if frame is None:
                 continue
             if frame.topology.version == self._last.topology.version:
@@ -443,6 +509,19 @@ class FrameStream(Closing, Iterator[Frame]):
             if _follows(frame, self._first):
                 return frame
 
+    def _read_changes(self) -> None:
+        """Takes the newest changes. What the bus repeats for a late subscriber may take a second, so asks once, too."""
+        if self._changes is None:
+            if self._follow_changes is None:
+                return
+            self._changes = self._follow_changes()
+            self._scene.frame()
+        changes = self._changes.newest()
+        if changes is not None:
+            self._scene._take_changes(changes)
+
     def close(self) -> None:
         """Ends the subscription."""
         self._subscription.close()
+        if self._changes is not None:
+            self._changes.close()

@@ -118,6 +118,18 @@ class Subscription(Stream, Generic[MessageType]):
                 raise DeadlineExceededError(f"nothing came on {self._key} in {timeout_s:g} s")
             left_s = max(0.0, left_s - min(wait_s, time.monotonic() - begin))
 
+    def newest(self) -> MessageType | None:
+        """Returns the newest message that was not yet taken; None if there is none now."""
+        self._check_open()
+        payload = self._source.receive(0.0)
+        if payload is None:
+            return None
+        try:
+            return self._kind.FromString(payload)
+        except DecodeError:
+            self.malformed_count += 1
+            return None
+
     def __iter__(self) -> Iterator[MessageType]:
         while True:
             yield self.receive()

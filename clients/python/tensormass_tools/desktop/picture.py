@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import pyvista as pv
 
 from tensormass import Feedback, Frame
-from tensormass.v1 import stream_pb2
+from tensormass.v1 import changes_pb2, stream_pb2
 from tensormass_gateway.normals import Triangles
 from tensormass_tools.desktop.shapes import pose_matrix, surface_mesh, tool_mesh
 
@@ -17,6 +17,8 @@ _COLORS = "viridis"
 _STEEL = "#d5dce2"
 _OBSTACLE = "#5d6a75"
 _AMBER = "#ffb000"
+# Faces that were made while the scene stepped.
+_FACE_COLORS = {changes_pb2.BodyChanges.FACE_CUT: "#a8433b", changes_pb2.BodyChanges.FACE_BURNT: "#2b1c16"}
 _RETIRED_OPACITY = 0.25
 _LIGAMENT = "#e3bfa0"
 _STRAND_WIDTH = 4  # pixels
@@ -40,13 +42,16 @@ class Picture:
         self._plotter = plotter
         self._topology = first.topology
         self._is_rest_known = rest_m is not None
-        self._rest_m = first.positions if rest_m is None else rest_m
+        self._rest_m = first.positions[: first.surface.base_count] if rest_m is None else rest_m
         self._step = first.step
         self._range_mm = _LEAST_RANGE_MM
         corner = self._rest_m.max(axis=0) - self._rest_m.min(axis=0) if len(self._rest_m) else np.ones(3)
         self._radius_m = max(0.5 * float(np.linalg.norm(corner)), 1e-6)
         self._bodies = [self._add_body(body, first) for body in first.topology.bodies]
+        self._faces: dict[tuple[int, int], pv.PolyData] = {}
         self._triangles = Triangles(first.topology)
+        # What the meshes show: triangles change seldom, positions with each frame.
+        self._shown = _Shown(0, first.surface.base_count)
         self._tools = {shape.name: _Tool(plotter, shape, self._radius_m) for shape in first.topology.tools}
         self._strands = _Strands(plotter, first) if len(first.broken_springs) else None
         self._text = plotter.add_text("", position="upper_left", font_size=10, color="black", name="state")
@@ -61,15 +66,29 @@ class Picture:
     def update(self, frame: Frame) -> None:
         """Shows a frame of the same topology."""
         if frame.step < self._step and not self._is_rest_known:
-            self._rest_m = frame.positions
+            self._rest_m = frame.positions[: len(self._rest_m)]
         self._step = frame.step
-        distances_mm = 1e3 * np.linalg.norm(frame.positions.astype(np.float64) - self._rest_m, axis=1)
+        surface, count = frame.surface, len(frame.positions)
+        shown = _Shown(surface.revision, count)
+        anew, self._shown = shown != self._shown, shown
+        if anew:
+            self._triangles = Triangles(self._topology, surface, count)
+        # Nobody knows where appended vertices were at rest.
+        distances_mm = np.zeros(count, np.float64)
+        base = surface.base_count
+        distances_mm[:base] = 1e3 * np.linalg.norm(frame.positions[:base].astype(np.float64) - self._rest_m, axis=1)
         normals = self._triangles.directions(np.ascontiguousarray(frame.positions.T))
-        for body, (mesh, _) in zip(self._topology.bodies, self._bodies, strict=True):
-            part = slice(body.first_vertex, body.first_vertex + body.vertex_count)
-            mesh.points = frame.positions[part]
-            mesh["displacement"] = distances_mm[part]
-            mesh.point_data.active_normals = normals[part]
+        for i, (mesh, _) in enumerate(self._bodies):
+            points = surface.vertices(i, frame.positions)
+            if anew:
+                triangles, faces = surface.triangles(i, count)
+                self._show_faces(i, points, triangles, faces)
+                mesh.copy_from(_mesh_of(points, triangles[~np.isin(faces, list(_FACE_COLORS))]))
+            mesh.points = points
+            mesh["displacement"] = surface.vertices(i, distances_mm)
+            mesh.point_data.active_normals = surface.vertices(i, normals)
+        for (i, _), made in self._faces.items():
+            made.points = surface.vertices(i, frame.positions)
         self._range_mm = max(self._range_mm, float(distances_mm.max(initial=0)))
         for _, actor in self._bodies:
             actor.mapper.scalar_range = (0.0, self._range_mm)
@@ -100,6 +119,23 @@ class Picture:
         actor.prop.interpolation = "phong"
         return mesh, actor
 
+    def _show_faces(
+        self,
+        body: int,
+        points: npt.NDArray[np.float32],
+        triangles: npt.NDArray[np.uint32],
+        faces: npt.NDArray[np.uint8],
+    ) -> None:
+        """Shows the cut and burnt faces of a body in their colours."""
+        for face, color in _FACE_COLORS.items():
+            mesh = _mesh_of(points, triangles[faces == face])
+            made = self._faces.get((body, face))
+            if made is not None:
+                made.copy_from(mesh)
+            elif mesh.n_cells:
+                self._faces[body, face] = mesh
+                self._plotter.add_mesh(mesh, color=color, reset_camera=False)
+
     def _look(self) -> None:
         """Looks at the bodies from obliquely above. Tools do not count, because a plane has no end."""
         gravity = self._topology.gravity_m_per_s2
@@ -113,6 +149,19 @@ class Picture:
         self._plotter.camera.focal_point = middle
         self._plotter.camera.position = middle + 4.2 * self._radius_m * view / np.linalg.norm(view)
         self._plotter.camera.up = up
+
+
+class _Shown(NamedTuple):
+    """What tells apart the triangles of two frames."""
+
+    revision: int
+    vertex_count: int
+
+
+def _mesh_of(points: npt.NDArray[np.float32], triangles: npt.NDArray[np.uint32]) -> pv.PolyData:
+    # An empty mesh would end its actor, so that a triangle without an area stays.
+    corners = triangles if len(triangles) else np.zeros((min(1, len(points)), 3), np.uint32)
+    return pv.PolyData.from_regular_faces(points, corners.astype(np.int64))
 
 
 class _Strands:

@@ -25,7 +25,7 @@ from mcap.records import Channel, Chunk, Schema
 from mcap.records import Message as McapMessage
 
 from tensormass import InvalidArgumentError, NotFoundError, ResourceExhaustedError
-from tensormass.v1 import recording_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, event_pb2, recording_pb2, scene_pb2, stream_pb2
 
 #: Message of each channel.
 CHANNELS: dict[str, type[Message]] = {
@@ -37,6 +37,8 @@ CHANNELS: dict[str, type[Message]] = {
     "/lost": recording_pb2.LostSteps,
     "/status": stream_pb2.SceneStatus,
     "/topology": stream_pb2.Topology,
+    "/changes": changes_pb2.SurfaceChanges,
+    "/events": event_pb2.SceneEvents,
     "/frames": stream_pb2.Frame,
 }
 #: A larger chunk is refused. One frame has at most 512 MiB on the bus.
@@ -45,10 +47,10 @@ MAX_CHUNK_BYTES = 576 << 20
 MAX_RATIO = 1000
 MAX_SMALL_BYTES = 16 << 20
 #: Bytes of a message in channels whose messages are small; a longer one is damage. Read, a message takes more memory.
-MAX_MESSAGE_BYTES = {"/inputs": 1 << 20, "/checks": 64 << 10, "/lost": 1 << 10, "/status": 1 << 20}
+MAX_MESSAGE_BYTES = {"/inputs": 1 << 20, "/checks": 64 << 10, "/lost": 1 << 10, "/status": 1 << 20, "/events": 1 << 20}
 #: Edits between two steps (kMaxEditsOfStep): a recording has those on which the next step depends.
 MAX_EDITS_OF_STEP = 3
-#: Schemas and channels of a file. We write nine of each.
+#: Schemas and channels of a file. We write eleven of each.
 MAX_CHANNELS = 1000
 
 #: Failures of a chunk whose bytes are not those that were written. ValueError: also a wrong checksum.

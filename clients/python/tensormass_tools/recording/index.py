@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from bisect import bisect_right
 from collections import OrderedDict
 from pathlib import Path
 from typing import TypeVar
@@ -23,7 +24,8 @@ from typing import TypeVar
 from google.protobuf.message import Message
 
 from tensormass import InvalidArgumentError, ResourceExhaustedError
-from tensormass.v1 import recording_pb2, stream_pb2
+from tensormass._shared.enums import short_name
+from tensormass.v1 import changes_pb2, event_pb2, recording_pb2, stream_pb2
 from tensormass_gateway.player import Mark
 from tensormass_gateway.requests import is_name
 from tensormass_tools.output import force_n
@@ -49,6 +51,14 @@ MAX_MARKS = 500
 MAX_MARK_TEXT = 200
 #: A tool that touches again within this time makes no new mark.
 CONTACT_APART_S = 0.5
+#: Events that make a mark. Edits, steps and statuses make those of the others.
+MARKED_EVENTS = frozenset(
+    {
+        event_pb2.SceneEvent.KIND_ABLATED,
+        event_pb2.SceneEvent.KIND_PIECE_FREE,
+        event_pb2.SceneEvent.KIND_SEVERED,
+    }
+)
 
 Kind = TypeVar("Kind", bound=Message)
 
@@ -77,6 +87,9 @@ class RecordingIndex:
         self._held: OrderedDict[int, bytes] = OrderedDict()
         self._frames = _Places()
         self._statuses = _Places()
+        self._changes, self._events = _Places(), _Places()
+        # Revision of each message of changes, and time of the newest event in each message of events. Both rise.
+        self._revisions, self._event_times_ns = array("Q"), array("Q")
         # Number of statuses before each frame.
         self._statuses_before = array("I")
         damaged = self._read()
@@ -98,6 +111,16 @@ class RecordingIndex:
         """Reads the last status before a frame; None if there was none. Raises like `frame`."""
         before = self._statuses_before[index]
         return self._message(self._statuses, before - 1, stream_pb2.SceneStatus) if before > 0 else None
+
+    def changes(self, frame: stream_pb2.Frame) -> changes_pb2.SurfaceChanges | None:
+        """Reads the newest changes of the surface that are not newer than a frame. Raises like `frame`."""
+        at = bisect_right(self._revisions, frame.revision) - 1
+        return self._message(self._changes, at, changes_pb2.SurfaceChanges) if at >= 0 else None
+
+    def events(self, frame: stream_pb2.Frame) -> event_pb2.SceneEvents | None:
+        """Reads the events up to a frame; None: none are recorded. Raises like `frame`."""
+        at = bisect_right(self._event_times_ns, frame.server_time_ns) - 1
+        return self._message(self._events, at, event_pb2.SceneEvents) if at >= 0 else None
 
     @property
     def held_bytes(self) -> int:
@@ -128,8 +151,21 @@ class RecordingIndex:
         elif isinstance(message, stream_pb2.SceneStatus):
             timeline.take_status(message)
             self._statuses.add(place, found.at, len(found.data))
+        elif isinstance(message, changes_pb2.SurfaceChanges):
+            rises = not self._revisions or message.revision >= self._revisions[-1]
+            if rises and message.topology_version == self.topology.version:
+                self._revisions.append(message.revision)
+                self._changes.add(place, found.at, len(found.data))
+        elif isinstance(message, event_pb2.SceneEvents):
+            newest_ns = message.events[-1].server_time_ns if message.events else 0
+            if newest_ns >= (self._event_times_ns[-1] if self._event_times_ns else 1):
+                timeline.take_events(message)
+                self._event_times_ns.append(newest_ns)
+                self._events.add(place, found.at, len(found.data))
         elif isinstance(message, stream_pb2.Frame) and message.topology_version == self.topology.version:
-            if len(message.positions) != 12 * sum(body.vertex_count for body in self.topology.bodies):
+            base = 12 * sum(body.vertex_count for body in self.topology.bodies)
+            more = len(message.positions) - base
+            if more < 0 or more % 12 or (more and message.revision == 0):
                 raise ValueError("a frame does not fit its topology")
             if len(self.times_s) == MAX_FRAMES:
                 raise ResourceExhaustedError(f"{self._path}: has more than {MAX_FRAMES} frames")
@@ -193,6 +229,7 @@ class _Timeline:
         self._fell: tuple[int, float] | None = None
         # Step of a restored snapshot that no frame has shown yet.
         self._restored: int | None = None
+        self._last_event = 0
 
     def take_frame(self, frame: stream_pb2.Frame) -> None:
         if not math.isfinite(frame.simulated_time_s):
@@ -249,6 +286,14 @@ class _Timeline:
         if step.recovered and not self._recovering:
             self._mark("recovery", "The scene recovers: tools back off, or the tissue is held.")
         self._recovering = step.recovered
+
+    def take_events(self, message: event_pb2.SceneEvents) -> None:
+        for event in message.events:
+            if event.sequence > self._last_event:
+                self._last_event = event.sequence
+                if event.kind in MARKED_EVENTS:
+                    kind = short_name(event_pb2.SceneEvent.Kind.DESCRIPTOR, event.kind)
+                    self._mark(kind, f"{event.text[:1].upper()}{event.text[1:]}.")
 
     def take_status(self, status: stream_pb2.SceneStatus) -> None:
         # Steps of a recovery leave their bounds too, but `take_step` marks them.

@@ -33,7 +33,7 @@ from tensormass import (
 )
 from tensormass._shared.errors import from_rpc_error
 from tensormass._shared.processes import end_explained
-from tensormass.v1 import control_pb2, recording_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, control_pb2, event_pb2, recording_pb2, stream_pb2
 from tensormass_tools import presets
 from tensormass_tools.daemon_arguments import daemon_of
 from tensormass_tools.output import check_writable, load_line, print_json
@@ -115,6 +115,9 @@ class Recorder:
         self._ends = threading.Event()
         self.steps = self.recovered = self.checks = self.frames = self.lost = self.lost_checks = self.edits = 0
         self.files: list[str] = [str(args.output)]
+        # The newest ones: each file begins with them.
+        self._changes: changes_pb2.SurfaceChanges | None = None
+        self._events: event_pb2.SceneEvents | None = None
         self._due_checks = 0  # each comes after its step, perhaps in a later message, or is counted as lost
 
     def summary(self) -> dict[str, Any]:
@@ -167,6 +170,13 @@ class Recorder:
         writer.add("/start", start)
         if self._args.frames:
             writer.add("/topology", self._handle.topology())
+            if self._changes is None:
+                with contextlib.suppress(TensormassError):  # a scene without frames
+                    self._changes = self._handle.frame().surface.changes
+            if self._changes is not None and self._changes.revision > 0:
+                writer.add("/changes", self._changes)
+            if self._events is not None:
+                writer.add("/events", self._events)
         writer.flush()
 
     def _cut(self) -> Cut:
@@ -234,11 +244,20 @@ class Recorder:
 
     def _read_frames(self) -> None:
         def frames() -> None:
-            plane = self._server.data_plane
-            with plane.subscribe(self._handle.name, "frame", stream_pb2.Frame, "zeromq") as frames:
+            plane, name = self._server.data_plane, self._handle.name
+            with (
+                plane.subscribe(name, "changes", changes_pb2.SurfaceChanges, "zeromq") as changes,
+                plane.subscribe(name, "events", event_pb2.SceneEvents, "zeromq") as events,
+                plane.subscribe(name, "frame", stream_pb2.Frame, "zeromq") as frames,
+            ):
                 while not self._ends.is_set():
+                    frame = None
                     with contextlib.suppress(DeadlineExceededError):
-                        self._put(frames.receive(_WAIT_S))
+                        frame = frames.receive(_WAIT_S)
+                    # One thread for all three: changes come before the frames that follow them.
+                    for item in (changes.newest(), events.newest(), frame):
+                        if item is not None:
+                            self._put(item)
 
         self._guarded(frames)
 
@@ -259,6 +278,17 @@ class Recorder:
     def _add(self, writer: RecordingFiles, item: Any) -> None:  # noqa: ANN401
         if isinstance(item, TensormassError):
             raise item
+        if isinstance(item, changes_pb2.SurfaceChanges):
+            if item.revision > (self._changes.revision if self._changes is not None else 0):
+                self._changes = item
+                writer.add("/changes", item)
+            return
+        if isinstance(item, event_pb2.SceneEvents):
+            # The bus repeats a message when somebody else subscribes.
+            if item.events and item != self._events:
+                self._events = item
+                writer.add("/events", item)
+            return
         if isinstance(item, stream_pb2.Frame):
             writer.add("/frames", item, item.server_time_ns)
             self.frames += 1

@@ -17,14 +17,25 @@ import {
 
 export type Vector = readonly [x: number, y: number, z: number];
 
-export type StreamName = "topology" | "simplified_topology" | "rest" | "frame" | "encoded_frame" | "status" | "field";
+export type StreamName =
+  | "topology"
+  | "simplified_topology"
+  | "changes"
+  | "rest"
+  | "frame"
+  | "encoded_frame"
+  | "status"
+  | "events"
+  | "field";
 const STREAM_NAMES: readonly string[] = [
   "topology",
   "simplified_topology",
+  "changes",
   "rest",
   "frame",
   "encoded_frame",
   "status",
+  "events",
   "field",
 ] satisfies StreamName[];
 
@@ -142,7 +153,9 @@ export interface Frame {
   readonly step: bigint;
   readonly simulatedTimeS: number;
   readonly serverTimeNs: bigint;
-  /** [vertex_count, 3] m */
+  /** Revision of the surface: 0 as in the topology. */
+  readonly revision: number;
+  /** [vertex_count, 3] m: the vertices of the topology, then those that changes of this revision append. */
   readonly positions: Float32Array;
   /** No position is farther from the daemon's surface than this; 0: positions are exact. */
   readonly errorM: number;
@@ -194,7 +207,7 @@ export function splitMessage(data: ArrayBuffer): BusMessage {
 }
 
 /** Reads vertices of a body, or points. Throws DecodeError if one is outside its range. @param perItem Vertices of each item. */
-function vertices(where: string, bytes: Uint8Array, perItem: number, vertexCount: number, kind = "vertex"): Uint32Array {
+export function vertices(where: string, bytes: Uint8Array, perItem: number, vertexCount: number, kind = "vertex"): Uint32Array {
   if (bytes.length % (4 * perItem) !== 0) {
     throw new DecodeError(`${where}: ${bytes.length} bytes are not a multiple of ${4 * perItem}`);
   }
@@ -388,6 +401,7 @@ export function frameOf(where: string, message: FrameMessage, positions: Float32
     step: message.step,
     simulatedTimeS: message.simulatedTimeS,
     serverTimeNs: message.serverTimeNs,
+    revision: message.revision,
     positions,
     errorM: 0,
     normals: null,

@@ -4,6 +4,7 @@ import type { MessageInitShape } from "@bufbuild/protobuf";
 import type { SceneAdjustmentsSchema } from "../generated/tensormass/v1/adjustment_pb";
 import type { ClockReply, CommandResult, DaemonState, PlayHead } from "../generated/tensormass/v1/gateway_pb";
 import { linkSituation, recordingSituation, sceneSituation, type Situation } from "../situation";
+import { decodeChanges } from "./changes";
 import { GatewayClock } from "./clock";
 import { Connection, type Diagnosis, type FrameChoice, type LinkState } from "./connection";
 import {
@@ -21,6 +22,7 @@ import {
   type ToolState,
 } from "./decode";
 import { FrameDecoder } from "./encoded";
+import { decodeEvents, type SceneEvent } from "./events";
 import { History } from "./history";
 import { Pace } from "./pace";
 import type { Finding } from "./findings";
@@ -56,6 +58,7 @@ export interface Readings {
   /** `status` while its numbers are current, else null. */
   readonly currentStatus: Status | null;
   readonly findings: readonly Finding[];
+  readonly events: readonly SceneEvent[];
   readonly counters: Counters;
   readonly drawRateHz: number | null;
   readonly ageMs: number | null;
@@ -187,6 +190,7 @@ export class Session {
       status: store.status,
       currentStatus: store.currentStatus,
       findings: store.findings.list(),
+      events: store.events,
       counters: store.counters,
       drawRateHz: store.topology === null ? null : pace.rateHz(nowMs),
       ageMs: pace.ageMs(nowMs),
@@ -324,6 +328,13 @@ export class Session {
         this.#events.onFrame();
         break;
       }
+      case "changes":
+        store.setChanges(decodeChanges(message.payload, store.topology), this.#daemon?.recording !== undefined);
+        this.#events.onChange();
+        break;
+      case "events":
+        store.setEvents(decodeEvents(message.payload));
+        break;
       case "rest":
         store.setRest(decodeFrame(message.payload));
         break;

@@ -1,6 +1,8 @@
 // State of the scene on show: topology, newest frame and status, and counts of losses. Refuses frames that do not match
 // the topology, so that drawing needs no checks.
+import type { Changes } from "./changes";
 import { DecodeError, slotOf, type Field, type Frame, type Status, type StreamName, type Topology } from "./decode";
+import type { SceneEvent, SceneEvents } from "./events";
 import { Findings } from "./findings";
 
 export interface Counters {
@@ -28,6 +30,12 @@ export class SceneStore {
   topology: Topology | null = null;
   frame: Frame | null = null;
   status: Status | null = null;
+  /** Changes of the surface since the topology; null: none are known. Another object after each change. */
+  changes: Changes | null = null;
+  /** Why the newest changes are not on show; null while they are. */
+  unshownChanges: string | null = null;
+  /** The last 64 events, oldest first. */
+  events: readonly SceneEvent[] = [];
   /** Why the scene's newest topology or frame is not on show; null while it is. */
   unshown: string | null = null;
   /** Whether the last frame taken followed another of its topology. The first frame may be of any age, because the
@@ -66,7 +74,8 @@ export class SceneStore {
 
   /** Takes a frame. Throws DecodeError if it belongs to another topology than the one on show. */
   setFrame(frame: Frame): void {
-    this.#check(`frame ${frame.sequence}`, frame.topologyVersion, frame.positions.length / 3);
+    this.#checkVersion(`frame ${frame.sequence}`, frame.topologyVersion);
+    this.#checkPositions(frame);
     this.#checkSprings(frame);
     this.frame = frame;
     if (this.reference === null) {
@@ -76,6 +85,26 @@ export class SceneStore {
     }
     this.unshown = null;
     this.#fresh = true;
+  }
+
+  /**
+   * Takes changes of the surface, which fit the topology on show. Drops those that are older than what is known.
+   *
+   * @param mayGoBack A recording is shown, which may go back in time.
+   */
+  setChanges(changes: Changes, mayGoBack: boolean): void {
+    if (this.changes !== null && changes.revision < this.changes.revision && !mayGoBack) {
+      return;
+    }
+    this.changes = changes;
+    this.unshownChanges = null;
+  }
+
+  /** Takes the last events. Drops those of a previous scene. */
+  setEvents({ events, topologyVersion }: SceneEvents): void {
+    if (this.topology === null || this.topology.wholeVersion === topologyVersion) {
+      this.events = events;
+    }
   }
 
   /** Takes the rest positions, as a frame in which nothing has moved. Throws DecodeError like `setFrame`. */
@@ -131,6 +160,8 @@ export class SceneStore {
     if (slot === "topology" || slot === "frame") {
       // Keep the first reason. Later frames are refused because their topology is missing, which would hide the cause.
       this.unshown ??= reason;
+    } else if (slot === "changes") {
+      this.unshownChanges = reason;
     }
   }
 
@@ -161,14 +192,30 @@ export class SceneStore {
 
   /** Throws DecodeError if a message does not fit the topology on show. */
   #check(what: string, version: bigint, vertexCount: number): void {
-    const topology = this.topology;
-    if (topology?.version !== version) {
-      throw new DecodeError(`${what} belongs to topology ${version}, on show is ${topology?.version ?? "none"}`);
-    }
+    this.#checkVersion(what, version);
+    const topology = this.topology!;
     if (vertexCount !== topology.vertexCount) {
       throw new DecodeError(
         `${what} has ${vertexCount} vertices, topology ${topology.version} has ${topology.vertexCount}`,
       );
+    }
+  }
+
+  #checkVersion(what: string, version: bigint): void {
+    if (this.topology?.version !== version) {
+      throw new DecodeError(`${what} belongs to topology ${version}, on show is ${this.topology?.version ?? "none"}`);
+    }
+  }
+
+  /** Throws DecodeError if a frame has fewer vertices than the topology, or others than its revision appends. */
+  #checkPositions({ sequence, revision, positions }: Frame): void {
+    const { version, vertexCount } = this.topology!;
+    const count = positions.length / 3;
+    const known = revision === 0 ? 0 : revision === this.changes?.revision ? this.changes.appendedVertexCount : null;
+    // A frame may have any number of appended vertices if its revision is not known.
+    if (known === null ? count < vertexCount : count !== vertexCount + known) {
+      const more = known === 0 ? "" : ` and ${known ?? "unknown"} appended`;
+      throw new DecodeError(`frame ${sequence} has ${count} vertices, topology ${version} has ${vertexCount}${more}`);
     }
   }
 
@@ -191,6 +238,11 @@ export class SceneStore {
       this.#field = null;
       this.valuesRevision += 1;
     }
+    if (topology?.wholeVersion !== this.topology?.wholeVersion) {
+      this.events = [];
+    }
+    this.changes = null;
+    this.unshownChanges = null;
     this.topology = topology;
     this.frame = null;
     this.unshown = null;

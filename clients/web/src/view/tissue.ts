@@ -1,7 +1,9 @@
 // The bodies: one mesh each. Every frame replaces the positions.
 import * as THREE from "three";
 
+import { ofFace, shapeOf, type BodyPatch, type Changes, type Shape } from "../stream/changes";
 import type { Surface, Topology } from "../stream/decode";
+import { AppendedFaces } from "./faces";
 import type { Level } from "./quality";
 import { unpackNormals, vertexNormals } from "./normals";
 import { decodePicture } from "./picture";
@@ -28,8 +30,9 @@ export class Tissue {
     onPicture: () => void = () => undefined,
   ) {
     this.#bodies = topology.bodies
-      .filter((surface) => surface.triangles.length > 0)
-      .map((surface, index) => new Body(surface, positions, radiusM, PALETTE[index % PALETTE.length]!, material));
+      .map((surface, place) => ({ surface, place }))
+      .filter(({ surface }) => surface.triangles.length > 0)
+      .map(({ surface, place }, index) => new Body(surface, place, positions, radiusM, PALETTE[index % PALETTE.length]!, material));
     for (const body of this.#bodies) {
       void body.showPicture().then((shown) => (shown ? onPicture() : undefined));
     }
@@ -37,8 +40,15 @@ export class Tissue {
     this.update(positions);
   }
 
+  /** Takes changes of the surface, which show from the next `update` on. null: it is as in the topology. */
+  change(changes: Changes | null): void {
+    for (const body of this.#bodies) {
+      body.change(changes?.bodies[body.place] ?? null);
+    }
+  }
+
   /**
-   * @param positions [vertex_count, 3] m
+   * @param positions [vertex_count, 3] m, with appended vertices behind those of the topology
    * @param normals [vertex_count, 3], unit vectors times 127; null: computes them
    */
   update(positions: Float32Array, normals: Int8Array | null = null): void {
@@ -94,9 +104,27 @@ class Body {
   readonly #normals: THREE.BufferAttribute;
   /** Vertices that WebGL needs several times, because they lie on a seam of the picture. They follow all vertices. */
   readonly #copies: Uint32Array = new Uint32Array();
+  /** Triangles as they are drawn, with copies; the same count and order as the surface's. */
+  readonly #drawn: Uint32Array;
+  readonly #makeFaces: () => AppendedFaces;
+  #faces: AppendedFaces | null = null;
+  #patch: BodyPatch | null = null;
+  /** The triangles of a changed body that are drawn, and for how many vertices of a frame; null: they are not known yet. */
+  #shown: { readonly shape: Shape; readonly frameCount: number; readonly outer: Uint32Array } | null = null;
+  /** Positions and normals of all vertices of a changed body, appended ones last. */
+  #all = new Float32Array(0);
+  #allNormals = new Float32Array(0);
   #disposed = false;
 
-  constructor(surface: Surface, positions: Float32Array, radiusM: number, fallbackColor: string, material: Level["material"]) {
+  /** @param place Of the body in the topology. */
+  constructor(
+    surface: Surface,
+    readonly place: number,
+    positions: Float32Array,
+    radiusM: number,
+    fallbackColor: string,
+    material: Level["material"],
+  ) {
     this.#surface = surface;
     const geometry = new THREE.BufferGeometry();
     let triangles = surface.triangles;
@@ -116,7 +144,8 @@ class Body {
     geometry.setAttribute("normal", this.#normals);
     geometry.setAttribute("place", new THREE.BufferAttribute(places, 3));
     geometry.setAttribute("color", new THREE.BufferAttribute(mottle(places), 3));
-    geometry.setIndex(new THREE.BufferAttribute(triangles, 1));
+    this.#drawn = triangles;
+    geometry.setIndex(new THREE.BufferAttribute(triangles.slice(), 1));
     const color = surface.colorSrgb
       ? new THREE.Color().setRGB(...surface.colorSrgb, THREE.SRGBColorSpace)
       : new THREE.Color(fallbackColor);
@@ -132,6 +161,7 @@ class Body {
     this.#edges.frustumCulled = false;
     this.#edges.visible = false;
     this.#fixed = fixedPoints(this.#positions, surface.fixedVertices);
+    this.#makeFaces = () => new AppendedFaces(color, material, this.#edges.material);
     this.mesh.add(this.#edges, this.#fixed);
     for (const material of [this.#look, this.#colours]) {
       // Keeps the edges in front of the surface that they lie on.
@@ -167,7 +197,20 @@ class Body {
     return true;
   }
 
+  change(patch: BodyPatch | null): void {
+    this.#patch = patch;
+    this.#shown = null;
+    if (patch === null) {
+      this.#drawBase(this.#drawn);
+      this.#faces?.show({ base: this.#drawn, appended: new Uint32Array(), faces: new Uint8Array() });
+    }
+  }
+
   update(positions: Float32Array, normals: Int8Array | null): void {
+    if (this.#patch !== null) {
+      this.#updateChanged(this.#patch, positions);
+      return;
+    }
     const { vertexCount, triangles } = this.#surface;
     const ours = this.#positions.array as Float32Array;
     const allNormals = this.#normals.array as Float32Array;
@@ -185,6 +228,70 @@ class Body {
     this.#normals.needsUpdate = true;
   }
 
+  /** As `update`. Normals are computed, because those of the gateway smooth the edges of a cut away. */
+  #updateChanged(patch: BodyPatch, positions: Float32Array): void {
+    const { firstVertex, vertexCount, triangles } = this.#surface;
+    const count = vertexCount + patch.places.length;
+    const frameCount = positions.length / 3;
+    if (this.#shown?.frameCount !== frameCount) {
+      this.#showChanged(patch, frameCount);
+    }
+    const { outer } = this.#shown!;
+    const all = this.#all.subarray(0, 3 * count);
+    const allNormals = this.#allNormals.subarray(0, 3 * count);
+    all.set(this.#slice(positions));
+    for (let i = 0; i < patch.places.length; i += 1) {
+      // A vertex that the frame does not have is used by no triangle that is drawn.
+      const at = 3 * (patch.places[i]! < frameCount ? patch.places[i]! : firstVertex);
+      all.set(positions.subarray(at, at + 3), 3 * (vertexCount + i));
+    }
+    vertexNormals(all, outer, allNormals);
+    const ours = this.#positions.array as Float32Array;
+    const ourNormals = this.#normals.array as Float32Array;
+    ours.set(all.subarray(0, 3 * vertexCount));
+    ourNormals.set(allNormals.subarray(0, 3 * vertexCount));
+    fillCopies(ours, this.#copies, vertexCount, 3);
+    fillCopies(ourNormals, this.#copies, vertexCount, 3);
+    this.#positions.needsUpdate = true;
+    this.#normals.needsUpdate = true;
+    if (triangles.length > 0) {
+      this.#faces?.update(all, allNormals);
+    }
+  }
+
+  /** Finds what to draw of a changed body. */
+  #showChanged(patch: BodyPatch, frameCount: number): void {
+    const { vertexCount, triangles } = this.#surface;
+    const shape = shapeOf(triangles, vertexCount, patch, frameCount);
+    const appendedOuter = ofFace(shape, "outer");
+    const outer = new Uint32Array(shape.base.length + appendedOuter.length);
+    outer.set(shape.base);
+    outer.set(appendedOuter, shape.base.length);
+    this.#shown = { shape, frameCount, outer };
+    this.#drawBase(shapeOf(this.#drawn, vertexCount, patch, frameCount).base);
+    const needed = 3 * (vertexCount + patch.places.length);
+    if (this.#all.length < needed) {
+      this.#all = new Float32Array(2 * needed);
+      this.#allNormals = new Float32Array(2 * needed);
+    }
+    if (this.#faces === null && shape.appended.length > 0) {
+      this.#faces = this.#makeFaces();
+      this.#faces.edges.visible = this.#edges.visible;
+      this.mesh.add(this.#faces.mesh, this.#faces.edges);
+      this.#clipFaces();
+    }
+    this.#faces?.show(shape);
+  }
+
+  /** Draws these triangles of the topology, which are some of `#drawn`. */
+  #drawBase(triangles: Uint32Array): void {
+    const index = this.mesh.geometry.getIndex()!;
+    (index.array as Uint32Array).fill(0);
+    (index.array as Uint32Array).set(triangles);
+    index.needsUpdate = true;
+    this.mesh.geometry.setDrawRange(0, triangles.length);
+  }
+
   colour(values: Float32Array | null, least: number, most: number): void {
     this.mesh.material = values === null ? this.#look : this.#colours;
     if (values !== null) {
@@ -198,6 +305,9 @@ class Body {
 
   showEdges(shown: boolean): void {
     this.#edges.visible = shown;
+    if (this.#faces !== null) {
+      this.#faces.edges.visible = shown;
+    }
   }
 
   showFixed(shown: boolean): void {
@@ -210,6 +320,16 @@ class Body {
       // A cut surface shows its inner side.
       material.side = plane === null ? THREE.FrontSide : THREE.DoubleSide;
     }
+    this.#clipFaces();
+  }
+
+  /** Clips the appended faces as the body. */
+  #clipFaces(): void {
+    const material = this.#faces?.mesh.material;
+    if (material !== undefined) {
+      material.clippingPlanes = this.#look.clippingPlanes;
+      material.side = this.#look.side;
+    }
   }
 
   dispose(): void {
@@ -218,6 +338,7 @@ class Body {
       this.#look.map?.dispose();
     }
     this.mesh.geometry.dispose();
+    this.#faces?.dispose();
     (this.#colours.uniforms.table!.value as THREE.Texture).dispose();
     this.#fixed.geometry.dispose();
     for (const material of this.#materials) {

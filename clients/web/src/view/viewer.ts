@@ -2,6 +2,7 @@
 import * as THREE from "three";
 
 import { find, setText } from "../dom";
+import type { Changes } from "../stream/changes";
 import type { SceneStore } from "../stream/store";
 import type { Frame, Topology, Vector } from "../stream/decode";
 import type { Settings } from "../panel/settings";
@@ -45,6 +46,8 @@ export class Viewer implements Picture {
   #instruments: Instruments | null = null;
   #forces: readonly ForceLabel[] = [];
   #revision = -1;
+  /** Changes of the surface that the objects show. */
+  #changes: Changes | null = null;
   #dirty = true;
   /** The frame that is prepared but not drawn yet. */
   #prepared: { serverTimeNs: bigint; ms: number } | null = null;
@@ -173,6 +176,10 @@ export class Viewer implements Picture {
       this.#prepared = { serverTimeNs: frame.serverTimeNs, ms: performance.now() - beganMs };
       this.#dirty = true;
     }
+    if (frame === null && this.#tissue !== null && this.#store.frame !== null && this.#changes !== this.#store.changes) {
+      this.#move(this.#store.frame); // the scene stands still
+      this.#dirty = true;
+    }
     if (this.#instruments !== null) {
       this.#instruments.group.visible = this.#settings.tools;
     }
@@ -223,6 +230,10 @@ export class Viewer implements Picture {
 
   /** Moves the objects to where a frame has them. */
   #move(frame: Frame): void {
+    if (this.#changes !== this.#store.changes) {
+      this.#changes = this.#store.changes;
+      this.#tissue?.change(this.#changes);
+    }
     this.#tissue?.update(frame.positions, frame.normals);
     this.#strands?.update(frame);
     this.#colour();
@@ -273,14 +284,16 @@ export class Viewer implements Picture {
   }
 
   #displacements(): Float32Array | null {
-    const { frame, reference } = this.#store;
-    if (frame?.positions.length !== reference?.positions.length || frame === null || reference === null) {
+    const { frame, reference, topology } = this.#store;
+    if (frame === null || reference === null || topology === null) {
       return null;
     }
-    if (3 * this.#values.length !== frame.positions.length) {
-      this.#values = new Float32Array(frame.positions.length / 3);
+    // Appended vertices have no place to count from.
+    const count = topology.vertexCount;
+    if (this.#values.length !== count) {
+      this.#values = new Float32Array(count);
     }
-    displacements(frame.positions, reference.positions, this.#values);
+    displacements(frame.positions.subarray(0, 3 * count), reference.positions.subarray(0, 3 * count), this.#values);
     return this.#values;
   }
 
@@ -292,6 +305,7 @@ export class Viewer implements Picture {
     this.#tissue = null;
     this.#strands = null;
     this.#instruments = null;
+    this.#changes = null;
   }
 
   #clear(): void {
