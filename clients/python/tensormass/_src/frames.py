@@ -178,7 +178,8 @@ class Frame:
         return self.surface.triangles(self._place(body), len(self.positions))[1]
 
     def _place(self, body: str) -> int:
-        return list(self.topology.bodies).index(find_body(self.topology, body))
+        names = [surface.name for surface in self.topology.bodies]
+        return names.index(find_body(self.topology, body).name)
 
     def springs(self, attachment: str) -> Springs:
         """Returns the springs of an attachment: their ends, tensions, and which are broken.
@@ -207,7 +208,7 @@ class Frame:
         """
         surface = surface if surface is not None else Surface(topology)
         if not fits(message, surface):
-            needs = frame_size_bytes(topology)
+            needs = 12 * surface.base_count
             more = " or more" if message.revision else ""
             raise InternalError(
                 f"frame {message.sequence} of {topology.scene!r} has {len(message.positions)} bytes of positions; "
@@ -232,11 +233,6 @@ class Frame:
             revision=message.revision,
             surface=surface,
         )
-
-
-def frame_size_bytes(topology: stream_pb2.Topology) -> int:
-    """Returns the size of `positions` in a frame of this topology without changes [bytes]."""
-    return 12 * sum(body.vertex_count for body in topology.bodies)
 
 
 def fits(frame: stream_pb2.Frame, surface: Surface) -> bool:
