@@ -136,7 +136,7 @@ class Loop {
   struct StartedRecording {
     std::shared_ptr<Recording> recording;
     std::uint64_t step = 0;
-    std::optional<LoopState> state;  ///< before the first recorded step; no value: it is the scene's start
+    std::optional<LoopCopy> state;  ///< before the first recorded step; no value: it is the scene's start
   };
   /// Records from the next step on.
   Result<StartedRecording> do_record(const RecordingOptions& options);
@@ -144,19 +144,19 @@ class Loop {
   Result<void> do_stop_recording(const std::shared_ptr<Recording>& recording);
   /// Makes recorded steps; see ReplayScene. Their edits are done before, by the caller.
   Result<v1::ReplaySceneResponse> do_replay(std::span<const Replay::Step> steps);
-  Result<LoopState> do_save();
+  Result<LoopCopy> do_save();
   struct Kept {
-    LoopState state;
+    LoopCopy state;
     bool paused = false;
     std::chrono::nanoseconds held{};  ///< time for which the loop could not step
   };
   /// As `do_save`, but refuses a loop that was cancelled: its last step may have ended midway.
   Result<Kept> do_keep();
   /// edit: the Restore that brought the state.
-  Result<v1::SceneStatus> do_restore(const LoopState& state, EditPointer edit);
+  Result<v1::SceneStatus> do_restore(const LoopCopy& state, EditPointer edit);
 
   struct HandedOver {
-    LoopState state;
+    LoopCopy state;
     Start start;
   };
   /// Stops stepping and returns the state, from which another loop goes on. The recording leaves this one.

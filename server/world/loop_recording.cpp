@@ -76,9 +76,9 @@ Result<v1::ReplaySceneResponse> Loop::do_replay(std::span<const Replay::Step> st
   return response;
 }
 
-Result<LoopState> Loop::do_save() {
+Result<LoopCopy> Loop::do_save() {
   TM_RETURN_IF_ERROR(require_state());
-  return LoopState{world_->save(), next_diagnostics_};
+  return LoopCopy{world_->copy(), next_diagnostics_};
 }
 
 Result<Loop::Kept> Loop::do_keep() {
@@ -113,7 +113,8 @@ Result<void> Loop::do_go_on(std::shared_ptr<Recording> recording) {
   return {};
 }
 
-Result<v1::SceneStatus> Loop::do_restore(const LoopState& state, EditPointer edit) {
+Result<v1::SceneStatus> Loop::do_restore(const LoopCopy& state, EditPointer edit) {
+  TM_RETURN_IF_ERROR(require_state());
   budget_.clear();
   world_->restore(state.world);
   next_diagnostics_ = state.next_diagnostics;

@@ -217,7 +217,7 @@ Result<StartedRecording> Runner::record(const RecordingOptions& options) {
   out.start.set_check_every_steps(options.check_every_steps);
   out.start.set_step(started.step);
   if (const v1::SceneAdjustments* values = impl_->adjusted_values()) *out.start.mutable_adjustments() = *values;
-  if (started.state) out.start.set_snapshot(write_snapshot(model, impl_->scene_hash, *started.state));
+  if (started.state) out.start.set_snapshot(write_snapshot(model, impl_->scene_hash, by_node(model, *started.state)));
   out.start.set_server_time_ns(unix_time_ns());
   return out;
 }
@@ -267,7 +267,7 @@ Result<v1::SnapshotSceneResponse> Runner::snapshot() {
   TM_ASSIGN_OR_RETURN(state, loop->read([&] { return loop->do_save(); }));
   v1::SnapshotSceneResponse response;
   response.set_step(state.world.step_count);
-  response.set_snapshot(write_snapshot(loop->model(), impl_->scene_hash, state));
+  response.set_snapshot(write_snapshot(loop->model(), impl_->scene_hash, by_node(loop->model(), state)));
   if (const v1::SceneAdjustments* values = impl_->adjusted_values()) *response.mutable_adjustments() = *values;
   response.set_scene_hash(impl_->scene_hash);
   return response;
@@ -288,8 +288,8 @@ Result<KeptState> Runner::keep() {
   if (!adjusting) return fail(ErrorCode::kUnavailable, fmt::format("scene '{}' is being adjusted", name()));
   const Impl::HeldLoop loop(*impl_);
   TM_ASSIGN_OR_RETURN(kept, loop->read([&] { return loop->do_keep(); }));
-  return KeptState{impl_->adjustments, kept.paused, write_snapshot(loop->model(), impl_->scene_hash, kept.state),
-                   kept.held};
+  const LoopState state = by_node(loop->model(), kept.state);
+  return KeptState{impl_->adjustments, kept.paused, write_snapshot(loop->model(), impl_->scene_hash, state), kept.held};
 }
 bool Runner::turns(std::chrono::nanoseconds late) const { return impl_->loop()->turns(Clock::now(), late); }
 bool Runner::device_lost() const { return impl_->loop()->status().device_lost(); }
@@ -324,11 +324,9 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Adjust& adjust, const EditPoin
 
 Result<v1::SceneStatus> Runner::Impl::apply(const Restore& restore, const EditPointer& edit) {
   const HeldLoop held(*this);
-  // The scene's own arrays have the sizes that the snapshot must have. A scene whose device failed has none to compare
-  // with.
-  TM_ASSIGN_OR_RETURN(own, held->read([&] { return held->do_save(); }));
-  TM_ASSIGN_OR_RETURN(state, read_snapshot(held->model(), scene_hash, own.world.history, restore.snapshot));
-  return held->call([&] { return held->do_restore(state, edit); });
+  TM_ASSIGN_OR_RETURN(state, read_snapshot(held->model(), scene_hash, restore.snapshot));
+  const LoopCopy copy = in_layout(held->model(), state);
+  return held->call([&] { return held->do_restore(copy, edit); });
 }
 
 Result<v1::SceneStatus> Runner::Impl::apply(const Reset&, const EditPointer& edit) {
@@ -348,7 +346,7 @@ Result<void> Runner::Impl::replace_loop(v1::SceneAdjustments wanted) {
   TM_ASSIGN_OR_RETURN(handed_over, old->call([&] { return old->do_hand_over(); }));
   std::shared_ptr<Loop> next;
   try {
-    world->take_over(handed_over.state.world);
+    world->take_over(World::by_node(old->model(), handed_over.state.world));
     handed_over.start.before = old;
     handed_over.start.edit = edit;
     handed_over.start.signal = signal;
