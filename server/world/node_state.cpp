@@ -83,7 +83,7 @@ class GroupVariables {
   }
 
   const ElementGroup& group_;
-  std::size_t reals_;  // of an element
+  std::size_t reals_;  // variables of an element
   std::vector<std::uint32_t> elements_;
 };
 

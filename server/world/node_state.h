@@ -41,8 +41,8 @@ struct EdgePair {
   using Edge = std::array<std::uint32_t, 2>;  ///< nodes at its ends, the lower one first
   std::uint32_t contact = 0;                  ///< place in Model::body_contacts
   Edge edge{}, other{};                       ///< edge < other
-  std::uint32_t slot = 0;                     ///< of the one that searches: the order in which it adds its pairs up
-  std::array<double, 3> stretch_m{};          ///< of the spring of friction, as `edge` feels it
+  std::uint32_t slot = 0;                     ///< the order in which the edge that searches adds its pairs up
+  std::array<double, 3> stretch_m{};          ///< stretch of the spring of friction, as `edge` feels it
   double force_n = 0;                         ///< normal force
   std::strong_ordering operator<=>(const EdgePair& to) const {
     if (const auto order = contact <=> to.contact; order != 0) return order;

@@ -34,13 +34,13 @@ constexpr std::uint32_t kMostPartsForAHand = 2;
 
 }  // namespace
 
-Result<std::unique_ptr<World>> World::create(std::unique_ptr<const model::Model> model,
+Result<std::unique_ptr<World>> World::create(std::shared_ptr<const model::Model> model,
                                              const backend::Backend& backend) {
   TM_ASSIGN_OR_RETURN(state, backend.create(*model));
   return std::unique_ptr<World>(new World(std::move(model), std::move(state)));
 }
 
-World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state)
+World::World(std::shared_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state)
     : model_(std::move(model)),
       state_(std::move(state)),
       tools_(model_->tools.begin(), model_->tools.end()),

@@ -41,10 +41,12 @@ namespace tensormass::world {
 ///     shape     pose of a tool's shape (tool.h)
 class World {
  public:
-  static Result<std::unique_ptr<World>> create(std::unique_ptr<const model::Model> model,
+  static Result<std::unique_ptr<World>> create(std::shared_ptr<const model::Model> model,
                                                const backend::Backend& backend);
 
   const model::Model& model() const { return *model_; }
+  /// For threads that need the model for longer than this world may live.
+  const std::shared_ptr<const model::Model>& shared_model() const { return model_; }
 
   /// Version of the v1::Topology that describes the visible surface; frames repeat it.
   std::uint64_t topology_version() const { return topology_version_; }
@@ -147,7 +149,7 @@ class World {
   backend::RowState state() { return state_->read(); }
 
  private:
-  World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state);
+  World(std::shared_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state);
   void write_start();
   double diagnose_elastic_energy();
   void place_tools();
@@ -215,7 +217,7 @@ class World {
     std::uint32_t left_ = 0, length_ = kLeast / 2, good_ = 0;
   };
 
-  std::unique_ptr<const model::Model> model_;
+  std::shared_ptr<const model::Model> model_;
   std::unique_ptr<backend::SceneState> state_;
   std::vector<ToolMotion> tools_;
   std::vector<backend::ToolForce> published_;  // [tool], at the end of the last step

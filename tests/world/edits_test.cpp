@@ -371,7 +371,7 @@ TEST_P(Editing, ACancelledSceneStaysCancelledWhenItIsAdjusted) {
   EXPECT_REFUSED(second->step(1), ErrorCode::kUnavailable, "0 of 1 steps were done");
 }
 
-/// Poses that clients send while a scene is adjusted reach it, by the inboxes that both loops share.
+/// Poses that clients send while a scene is adjusted reach it.
 TEST_P(Editing, CountsOfPosesGoOn) {
   const auto runner = load(scene(false));
   runner->count_malformed_pose();
