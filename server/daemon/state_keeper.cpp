@@ -10,7 +10,7 @@
 namespace tensormass::daemon {
 namespace {
 
-/// Time after which a scene is asked again that could not be kept, because it is being adjusted or a disk is full.
+/// Time after which a scene is asked again that could not be kept, because memory is short or a disk is full.
 constexpr std::chrono::milliseconds kStateRetry{500};
 
 }  // namespace

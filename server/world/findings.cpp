@@ -31,6 +31,20 @@ std::string recovering_laws() {
   names.pop_back();
   return names.empty() ? last : fmt::format("{} and {}", fmt::join(names, ", "), last);
 }
+
+void add(Finding finding, const model::Model& m, v1::SceneStatus& status) {
+  accept(finding, m.accepted);
+  step::add(finding, status);
+}
+
+const std::string& body_of_group(const model::Model& m, std::size_t group) {
+  const std::uint32_t element = m.groups[group].elements.front();
+  const auto holds = [&](const model::BodyModel& body) { return element - body.element_begin < body.element_count; };
+  const auto body = std::find_if(m.bodies.begin(), m.bodies.end(), holds);
+  TM_ASSERT(body != m.bodies.end(), "an element group is part of a body");
+  return body->name;
+}
+
 }  // namespace
 
 bool Findings::take_step(const World& world) {
@@ -63,7 +77,7 @@ bool Findings::take_step(const World& world) {
   cg_iterations_.store(result.cg_iterations, kRelaxed);
   cg_residual_.store(result.cg_relative_residual, kRelaxed);
   if (!result.converged) unconverged_steps_.fetch_add(1, kRelaxed);
-  const bool above = model_.cg_tolerance > 0 && result.cg_relative_residual > model_.cg_tolerance;
+  const bool above = world.model().cg_tolerance > 0 && result.cg_relative_residual > world.model().cg_tolerance;
   solves_above_.store(solves_above_.load(kRelaxed) << 1 | (above ? 1u : 0u), kRelaxed);
   solves_.store(std::min(solves_.load(kRelaxed) + 1, kWindow), kRelaxed);
   newton_iterations_.store(result.newton_iterations, kRelaxed);
@@ -89,20 +103,9 @@ void Findings::take_diagnostics(const World& world) {
   dissipated_j_.store(world.energy().dissipated_j().value_or(0), kRelaxed);
 }
 
-void Findings::go_on_from(const Findings& other) {
-  unconverged_steps_.store(other.unconverged_steps_.load());
-  guard_events_.store(other.guard_events_.load());
-  guard_recoveries_.store(other.guard_recoveries_.load());
-  recoveries_.store(other.recoveries_.load());
-  recovering_steps_.store(other.recovering_steps_.load());
-  held_steps_.store(other.held_steps_.load());
-  recovering_.store(other.recovering_.load());
-  was_recovering_ = other.was_recovering_;
-  window_steps_ = other.window_steps_;
-  window_repeated_ = other.window_repeated_;
-  repeated_.store(other.repeated_.load());
-  const std::scoped_lock lock(event_mutex_, other.event_mutex_);
-  last_event_ = other.last_event_;
+void Findings::go_on_with(std::shared_ptr<const model::Model> model) noexcept {
+  TM_ASSERT(model->groups.size() == groups_.size(), "values do not change which elements form a group");
+  (void)model_.replace(std::move(model));
 }
 
 void Findings::clear() {
@@ -133,22 +136,23 @@ void Findings::clear() {
 }
 
 void Findings::add_to(v1::SceneStatus& status) const {
-  for (const Finding& finding : model_.findings) step::add_of_load(finding, status);
-  add_solve(status);
-  add_elements(status);
-  add_energy(status);
-  add_guard(status);
-  add_budget(status);
+  const std::shared_ptr<const model::Model> model = model_.get();
+  for (const Finding& finding : model->findings) step::add_of_load(finding, status);
+  add_solve(*model, status);
+  add_elements(*model, status);
+  add_energy(*model, status);
+  add_guard(*model, status);
+  add_budget(*model, status);
   status.set_touching_nodes(touching_nodes_.load(kRelaxed));
   status.set_deepest_contact_m(deepest_contact_m_.load(kRelaxed));
   status.set_broken_springs(broken_springs_.load(kRelaxed));
   status.set_momentum_error(momentum_error_.load(kRelaxed));
 }
 
-void Findings::add_solve(v1::SceneStatus& status) const {
+void Findings::add_solve(const model::Model& m, v1::SceneStatus& status) const {
   status.set_cg_iterations(cg_iterations_.load(kRelaxed));
   status.set_cg_relative_residual(cg_residual_.load(kRelaxed));
-  if (model_.iterates()) {
+  if (m.iterates()) {
     const double residual = newton_residual_.load(kRelaxed);
     status.set_newton_iterations(newton_iterations_.load(kRelaxed));
     status.set_newton_residual(residual);
@@ -156,13 +160,13 @@ void Findings::add_solve(v1::SceneStatus& status) const {
     if (!converged_.load(kRelaxed)) {
       add({.code = FindingCode::kUnconvergedStep,
            .value = residual,
-           .limit = model_.newton_tolerance,
+           .limit = m.newton_tolerance,
            .place = "scene.solver.newton_max_iterations",
            .message = fmt::format("the last step ended with a residual of {:.2g} of the forces, above newton_tolerance "
                                   "= {:.2g}",
-                                  residual, model_.newton_tolerance),
+                                  residual, m.newton_tolerance),
            .remedy = "give it more newton_max_iterations or cg_max_iterations, or reach the load in smaller steps"},
-          status);
+          m, status);
     }
   } else {
     // Newton's method makes up for a linear solve that ends early. Without it, the step keeps the error.
@@ -173,12 +177,11 @@ void Findings::add_solve(v1::SceneStatus& status) const {
            .value = static_cast<double>(above) / solves,
            .limit = thresholds::kMost,
            .place = "scene.solver.cg_max_iterations",
-           .message =
-               fmt::format("{} of the last {} solves ended above cg_tolerance = {:.2g}, the last one after {} "
-                           "iterations with a residual of {:.2g}: tissue moves less than it should",
-                           above, solves, model_.cg_tolerance, status.cg_iterations(), status.cg_relative_residual()),
+           .message = fmt::format("{} of the last {} solves ended above cg_tolerance = {:.2g}, the last one after {} "
+                                  "iterations with a residual of {:.2g}: tissue moves less than it should",
+                                  above, solves, m.cg_tolerance, status.cg_iterations(), status.cg_relative_residual()),
            .remedy = "give it more cg_max_iterations, or take smaller steps"},
-          status);
+          m, status);
     }
   }
   if (negative_curvature_.load(kRelaxed)) {
@@ -188,15 +191,15 @@ void Findings::add_solve(v1::SceneStatus& status) const {
          .message = "conjugate gradients met a direction of negative curvature and ended early; the matrix is at the "
                     "end of its precision",
          .remedy = "take double, or a milder ratio of stiffness to mass"},
-        status);
+        m, status);
   }
 }
 
-void Findings::add_elements(v1::SceneStatus& status) const {
+void Findings::add_elements(const model::Model& m, v1::SceneStatus& status) const {
   double min_det_f = std::numeric_limits<double>::infinity(), most_used = 0;
   for (std::size_t g = 0; g < groups_.size(); ++g) {
     min_det_f = std::min(min_det_f, groups_[g].min_det_f.load(kRelaxed));
-    const model::ElementGroup& group = model_.groups[g];
+    const model::ElementGroup& group = m.groups[g];
     if (group.has_clusters()) continue;  // each of their elements has diagnostics of its own
     const double strain = groups_[g].max_strain.load(kRelaxed), rotation = groups_[g].max_rotation_rad.load(kRelaxed);
     const double stretch = groups_[g].least_stretch.load(kRelaxed);
@@ -210,13 +213,14 @@ void Findings::add_elements(v1::SceneStatus& status) const {
         add({.code = FindingCode::kLawRange,
              .value = used,
              .limit = 1,
-             .place = fmt::format("body '{}'.law", body_of_group(g)),
-             .body = body_of_group(g),
-             .message = fmt::format("body '{}': {} has left its range of strains up to {} and rotations up to {} rad: "
-                                    "strain {:.2g}, rotation {:.2g} rad",
-                                    body_of_group(g), Law::kName, Law::kMaxStrain, Law::kMaxRotation, strain, rotation),
+             .place = fmt::format("body '{}'.law", body_of_group(m, g)),
+             .body = body_of_group(m, g),
+             .message =
+                 fmt::format("body '{}': {} has left its range of strains up to {} and rotations up to {} rad: "
+                             "strain {:.2g}, rotation {:.2g} rad",
+                             body_of_group(m, g), Law::kName, Law::kMaxStrain, Law::kMaxRotation, strain, rotation),
              .remedy = "take corotational or another law that stands rotation"},
-            status);
+            m, status);
       } else if constexpr (requires { Law::kLeastStretch; }) {
         const double used = std::max(1 - stretch, 0.0) / (1 - Law::kLeastStretch);
         most_used = std::max(most_used, used);
@@ -224,13 +228,13 @@ void Findings::add_elements(v1::SceneStatus& status) const {
         add({.code = FindingCode::kLawSoftens,
              .value = stretch,
              .limit = Law::kLeastStretch,
-             .place = fmt::format("body '{}'.law", body_of_group(g)),
-             .body = body_of_group(g),
+             .place = fmt::format("body '{}'.law", body_of_group(m, g)),
+             .body = body_of_group(m, g),
              .message = fmt::format("body '{}': {} gets softer where it is pressed to less than {} of its length, and "
                                     "an element is pressed to {:.2g}",
-                                    body_of_group(g), Law::kName, Law::kLeastStretch, stretch),
+                                    body_of_group(m, g), Law::kName, Law::kLeastStretch, stretch),
              .remedy = "take stable_neo_hookean or another law that stands compression"},
-            status);
+            m, status);
       }
     });
   }
@@ -243,19 +247,18 @@ void Findings::add_elements(v1::SceneStatus& status) const {
          .message = fmt::format("elements are inverted (min det F {:.2g})", min_det_f),
          .remedy = fmt::format("their stresses mean nothing until they recover, and only {} recover by themselves",
                                recovering_laws())},
-        status);
+        m, status);
   }
 }
 
-void Findings::add_energy(v1::SceneStatus& status) const {
+void Findings::add_energy(const model::Model& m, v1::SceneStatus& status) const {
   status.set_kinetic_energy_j(kinetic_j_.load(kRelaxed));
   status.set_elastic_energy_j(elastic_j_.load(kRelaxed));
   status.set_work_j(work_j_.load(kRelaxed));
-  if (counts_all_work(model_) && counts_all_energy(model_))
-    status.set_dissipated_energy_j(dissipated_j_.load(kRelaxed));
+  if (counts_all_work(m) && counts_all_energy(m)) status.set_dissipated_energy_j(dissipated_j_.load(kRelaxed));
 }
 
-void Findings::add_guard(v1::SceneStatus& status) const {
+void Findings::add_guard(const model::Model& m, v1::SceneStatus& status) const {
   status.set_guard_events(guard_events_.load(kRelaxed));
   status.set_guard_recoveries(guard_recoveries_.load(kRelaxed));
   status.set_recoveries(recoveries_.load(kRelaxed));
@@ -264,7 +267,7 @@ void Findings::add_guard(v1::SceneStatus& status) const {
   status.set_recovering(recovering_.load(kRelaxed));
   if (status.guard_events() == 0) return;
   const std::lock_guard lock(event_mutex_);
-  status.set_guard_text(to_text(last_event_, model_));
+  status.set_guard_text(to_text(last_event_, m));
   const std::uint32_t again = repeated_.load(kRelaxed);
   if (again <= thresholds::kMost * kWindow) return;
   add({.code = FindingCode::kRepeatedSteps,
@@ -277,50 +280,37 @@ void Findings::add_guard(v1::SceneStatus& status) const {
        .remedy = last_event_.first.breach == Breach::kLinearResidual
                      ? "give it more cg_max_iterations, or a floor that it can keep"
                      : "take smaller steps, or a law that stands the load"},
-      status);
+      m, status);
 }
 
-void Findings::add_budget(v1::SceneStatus& status) const {
-  status.set_floor_tolerance(model_.floor_tolerance);
-  if (model_.budget_s == 0) return;
+void Findings::add_budget(const model::Model& m, v1::SceneStatus& status) const {
+  status.set_floor_tolerance(m.floor_tolerance);
+  if (m.budget_s == 0) return;
   const std::uint32_t limit = budget_.limit();
-  status.set_step_budget_s(model_.budget_s);
-  status.set_floor_cg_iterations(model_.floor_cg_iterations);
+  status.set_step_budget_s(m.budget_s);
+  status.set_floor_cg_iterations(m.floor_cg_iterations);
   status.set_cg_iteration_limit(limit);
-  if (limit < model_.cg_max_iterations) {
+  if (limit < m.cg_max_iterations) {
     add({.code = FindingCode::kLoweredIterations,
          .value = static_cast<double>(limit),
-         .limit = static_cast<double>(model_.cg_max_iterations),
+         .limit = static_cast<double>(m.cg_max_iterations),
          .place = "scene.solver.budget_s",
          .message = fmt::format("a solve takes {} of {} iterations at most, to keep steps within budget_s = {:.3g}",
-                                limit, model_.cg_max_iterations, model_.budget_s),
+                                limit, m.cg_max_iterations, m.budget_s),
          .remedy = "results are less accurate; give it more time, or fewer elements"},
-        status);
+        m, status);
   }
-  if (budget_.step_s() > model_.budget_s) {
+  if (budget_.step_s() > m.budget_s) {
     const std::string residual =
-        model_.floor_tolerance > 0 ? fmt::format(" and a residual of {:.2g}", model_.floor_tolerance) : "";
+        m.floor_tolerance > 0 ? fmt::format(" and a residual of {:.2g}", m.floor_tolerance) : "";
     add({.code = FindingCode::kBudgetExceeded,
          .value = budget_.step_s(),
-         .limit = model_.budget_s,
+         .limit = m.budget_s,
          .place = "scene.solver.budget_s",
-         .message = fmt::format("steps take {:.2g} s of a budget of {:.2g} s", budget_.step_s(), model_.budget_s),
-         .remedy = fmt::format("the floor is {} iterations{}", model_.floor_cg_iterations, residual)},
-        status);
+         .message = fmt::format("steps take {:.2g} s of a budget of {:.2g} s", budget_.step_s(), m.budget_s),
+         .remedy = fmt::format("the floor is {} iterations{}", m.floor_cg_iterations, residual)},
+        m, status);
   }
-}
-
-void Findings::add(Finding finding, v1::SceneStatus& status) const {
-  accept(finding, model_.accepted);
-  step::add(finding, status);
-}
-
-const std::string& Findings::body_of_group(std::size_t group) const {
-  const std::uint32_t element = model_.groups[group].elements.front();
-  const auto holds = [&](const model::BodyModel& body) { return element - body.element_begin < body.element_count; };
-  const auto body = std::find_if(model_.bodies.begin(), model_.bodies.end(), holds);
-  TM_ASSERT(body != model_.bodies.end(), "an element group is part of a body");
-  return body->name;
 }
 
 }  // namespace tensormass::world

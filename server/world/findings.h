@@ -3,11 +3,14 @@
 #include <atomic>
 #include <cstdint>
 #include <deque>
+#include <memory>
 #include <mutex>
 #include <string>
+#include <utility>
 
 #include "tensormass/v1/stream.pb.h"
 #include "world/iteration_budget.h"
+#include "world/present.h"
 #include "world/world.h"
 
 namespace tensormass::world {
@@ -25,36 +28,34 @@ namespace tensormass::world {
 /// The loop allocates nothing for this: the thread that asks puts findings into words.
 class Findings {
  public:
-  Findings(const model::Model& model, const IterationBudget& budget)
-      : model_(model), budget_(budget), groups_(model.groups.size()) {}
+  Findings(std::shared_ptr<const model::Model> model, const IterationBudget& budget)
+      : groups_(model->groups.size()), model_(std::move(model)), budget_(budget) {}
 
   /// Loop: takes the results of the last World::step, also if the guard refused it. Returns whether a recovery began or
   /// ended with it.
   bool take_step(const World& world);
   /// Loop: takes the results of the last World::diagnose.
   void take_diagnostics(const World& world);
-  /// Goes on counting where the findings of another loop of the same scene ended. That one takes no more steps.
-  void go_on_from(const Findings& other);
+  /// Loop: goes on counting with a model of other values.
+  void go_on_with(std::shared_ptr<const model::Model> model) noexcept;
   /// Loop: forgets everything, because the scene was reset.
   void clear();
   /// Any thread: adds values, findings and warnings.
   void add_to(v1::SceneStatus& status) const;
 
  private:
-  void add_solve(v1::SceneStatus& status) const;
-  void add_elements(v1::SceneStatus& status) const;
-  void add_energy(v1::SceneStatus& status) const;
-  void add_guard(v1::SceneStatus& status) const;
-  void add_budget(v1::SceneStatus& status) const;
-  const std::string& body_of_group(std::size_t group) const;
-  void add(Finding finding, v1::SceneStatus& status) const;
+  void add_solve(const model::Model& m, v1::SceneStatus& status) const;
+  void add_elements(const model::Model& m, v1::SceneStatus& status) const;
+  void add_energy(const model::Model& m, v1::SceneStatus& status) const;
+  void add_guard(const model::Model& m, v1::SceneStatus& status) const;
+  void add_budget(const model::Model& m, v1::SceneStatus& status) const;
 
   struct Group {
     std::atomic<double> min_det_f{1}, max_strain{0}, max_rotation_rad{0}, least_stretch{1};
   };
-  const model::Model& model_;
-  const IterationBudget& budget_;
   std::deque<Group> groups_;  // a deque because an atomic does not move
+  Present<model::Model> model_;
+  const IterationBudget& budget_;
   std::atomic<std::uint32_t> cg_iterations_{0}, newton_iterations_{0}, touching_nodes_{0}, broken_springs_{0};
   std::atomic<std::uint64_t> unconverged_steps_{0};
   std::atomic<double> cg_residual_{0}, newton_residual_{0}, deepest_contact_m_{0}, momentum_error_{0};

@@ -13,10 +13,11 @@ constexpr double kRoom = 0.8;
 constexpr double kNearFloor = 0.5;
 }  // namespace
 
-IterationBudget::IterationBudget(const model::Model& model) : model_(model), limit_(model.cg_max_iterations) {}
+IterationBudget::IterationBudget(const model::Settings& settings)
+    : settings_(settings), limit_(settings.cg_max_iterations) {}
 
 void IterationBudget::take_step(double step_s, const solver::StepResult& result, const GuardEvent* event) {
-  if (model_.budget_s == 0) return;
+  if (settings_.budget_s == 0) return;
   if (event != nullptr) {
     // Time and result belong to the repeated step and say nothing about this limit.
     if (event->first.breach != Breach::kLinearResidual) return;
@@ -39,20 +40,22 @@ void IterationBudget::take_step(double step_s, const solver::StepResult& result,
 void IterationBudget::adapt() {
   const std::uint32_t now = limit();
   const bool at_limit = most_used_ >= now;
-  const bool near_floor = model_.floor_tolerance > 0 && worst_residual_ > kNearFloor * model_.floor_tolerance;
+  const bool near_floor = settings_.floor_tolerance > 0 && worst_residual_ > kNearFloor * settings_.floor_tolerance;
   if (near_floor) {
     if (at_limit) set_limit(now + std::max(now / 10, 1u));
-  } else if (step_s() > model_.budget_s) {
+  } else if (step_s() > settings_.budget_s) {
     const std::uint32_t used = std::min(now, most_used_);
     set_limit(used - std::min(used, std::max(used / 10, 1u)));
-  } else if (step_s() < kRoom * model_.budget_s && at_limit) {
+  } else if (step_s() < kRoom * settings_.budget_s && at_limit) {
     set_limit(now + std::max(now / 20, 1u));
   }
 }
 
 void IterationBudget::set_limit(std::uint32_t limit) {
-  TM_ASSERT(model_.floor_cg_iterations <= model_.cg_max_iterations, "the floor is at most the model's iterations");
-  limit_.store(std::clamp(limit, model_.floor_cg_iterations, model_.cg_max_iterations), std::memory_order_relaxed);
+  TM_ASSERT(settings_.floor_cg_iterations <= settings_.cg_max_iterations,
+            "the floor is at most the model's iterations");
+  limit_.store(std::clamp(limit, settings_.floor_cg_iterations, settings_.cg_max_iterations),
+               std::memory_order_relaxed);
 }
 
 void IterationBudget::start_window() {
@@ -62,7 +65,7 @@ void IterationBudget::start_window() {
 }
 
 void IterationBudget::clear() {
-  set_limit(model_.cg_max_iterations);
+  set_limit(settings_.cg_max_iterations);
   median_s_.store(0, std::memory_order_relaxed);
   start_window();
 }

@@ -24,7 +24,7 @@ namespace tensormass::world {
 /// does not wait: it costs more than the iterations that were saved. Written by the loop, read by any thread.
 class IterationBudget {
  public:
-  explicit IterationBudget(const model::Model& model);
+  explicit IterationBudget(const model::Settings& settings);
 
   /// Takes a step's duration and result. event: World::guard_event.
   void take_step(double step_s, const solver::StepResult& result, const GuardEvent* event = nullptr);
@@ -43,7 +43,7 @@ class IterationBudget {
   void set_limit(std::uint32_t limit);
   void start_window();
 
-  const model::Model& model_;
+  const model::Settings settings_;
   std::array<double, kWindow> times_s_{};
   std::size_t filled_ = 0;
   double worst_residual_ = 0;

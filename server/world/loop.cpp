@@ -23,33 +23,19 @@ Clock::time_point expiry_of(const ReceivedPose& pose) {
 }
 }  // namespace
 
-Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start)
+Loop::Loop(std::string backend, std::unique_ptr<World> world, GenerationPointer generation)
     : world_(std::move(world)),
-      model_(world_->model()),
-      inboxes_(start.inboxes ? start.inboxes : std::make_shared<PoseInboxes>(model_.tools.size())),
-      budget_(model_),
-      outputs_(*world_, start.frames_published, start.counts),
-      status_(model_, std::move(backend), budget_, *inboxes_, outputs_, start.statistics, start.counts),
-      clock_(model_.rate_hz),
+      inboxes_(model().tools.size()),
+      generation_(std::move(generation)),
+      budget_(model()),
+      outputs_(*world_, counts_),
+      status_(world_->shared_model(), std::move(backend), budget_, inboxes_, outputs_, counts_),
+      clock_(model().rate_hz),
       hand_(clock_.period()),
-      expiry_(model_.tools.size(), Clock::time_point::max()) {
+      expiry_(model().tools.size(), Clock::time_point::max()) {
   status_.take_stamp(outputs_.stamp());
-  if (start.paused) {
-    status_.set_state(v1::SceneStatus::STATE_PAUSED);
-    outputs_.release_tools();
-  }
-  if (start.before) {
-    status_.go_on_from(start.before->status_);
-    outputs_.go_on_from(start.before->outputs_);
-    if (start.edit) outputs_.add_event({.kind = EventKind::kAdjusted, .step = world_->step_count()});
-    expiry_ = start.before->expiry_;
-  }
   outputs_.publish(true);
-  if (start.signal) outputs_.set_signal(start.signal);
-  const std::lock_guard lock(mutex_);  // the thread waits for it, and so does not step before the edit is recorded
   thread_ = std::thread([this] { run(); });
-  recording_ = start.recording;
-  if (recording_ && start.edit) recording_->take_edit({start.edit, world_->step_count()});
 }
 
 Loop::~Loop() {
@@ -64,8 +50,9 @@ Loop::~Loop() {
 }
 
 Result<void> Loop::submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source) {
-  TM_ASSERT(tool < inboxes_->tools.size(), "a pose is for a tool of the scene");
-  TM_RETURN_IF_ERROR(inboxes_->tools[tool].submit(model_.tools[tool], pose, source));
+  TM_ASSERT(tool < inboxes_.tools.size(), "a pose is for a tool of the scene");
+  const GenerationPointer present = generation();
+  TM_RETURN_IF_ERROR(inboxes_.tools[tool].submit(present->model->tools[tool], pose, source));
   if (!listens_.load()) return {};
   { const std::lock_guard lock(mutex_); }  // the loop now waits, or has seen the pose
   wake_.notify_one();
@@ -99,7 +86,7 @@ void Loop::run() {
 }
 
 /// Whether the scene steps by the clock.
-bool Loop::runs() const { return status_.state() == v1::SceneStatus::STATE_RUNNING && !handed_over_; }
+bool Loop::runs() const { return status_.state() == v1::SceneStatus::STATE_RUNNING; }
 
 /// Waits until the next step is due or a command arrives. Returns false if the loop must end.
 bool Loop::wait_for_turn() {
@@ -129,7 +116,7 @@ std::size_t Loop::leading_tool() const {
 
 bool Loop::hand_came() const {
   const std::size_t tool = leading_tool();
-  return tool != kNone && hand_.starts(inboxes_->tools[tool].newest_arrival(), clock_.begin());
+  return tool != kNone && hand_.starts(inboxes_.tools[tool].newest_arrival(), clock_.begin());
 }
 
 bool Loop::step_due(Clock::time_point now) const {
@@ -151,7 +138,7 @@ void Loop::run_commands() {
 
 /// Says whether the coming step brings a frame: frame_rate_hz of them a second, spread evenly, at most one a step.
 bool Loop::frame_due() {
-  frame_phase_ += model_.frame_rate_hz / model_.rate_hz;
+  frame_phase_ += model().frame_rate_hz / model().rate_hz;
   if (frame_phase_ < 1 - 1e-9) return false;  // at equal rates every step brings one, whatever rounding says
   frame_phase_ = std::min(frame_phase_ - 1, 1.0);
   return true;
@@ -159,8 +146,8 @@ bool Loop::frame_due() {
 
 /// Gives the newest poses to the world.
 void Loop::take_poses() {
-  for (std::size_t i = 0; i < inboxes_->tools.size(); ++i) {
-    const ReceivedPose* newest = inboxes_->tools[i].take();
+  for (std::size_t i = 0; i < inboxes_.tools.size(); ++i) {
+    const ReceivedPose* newest = inboxes_.tools[i].take();
     if (newest == nullptr) continue;
     ReceivedPose received = *newest;
     if (!received.has_joints) received.pose.joint_values = world_->tool_target(i).joint_values;
@@ -242,7 +229,7 @@ bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
 
 void Loop::diagnose() {
   world_->diagnose();
-  next_diagnostics_ = world_->step_count() + 1 + static_cast<std::uint64_t>(model_.rate_hz / kDiagnosticsRateHz);
+  next_diagnostics_ = world_->step_count() + 1 + static_cast<std::uint64_t>(model().rate_hz / kDiagnosticsRateHz);
   status_.take_diagnostics(*world_);
 }
 
@@ -286,12 +273,12 @@ Result<void> Loop::require_state() const { return device_failed_ ? status_.requi
 tl::unexpected<Error> Loop::lockstep_error(std::string_view what) const {
   return fail(
       ErrorCode::kFailedPrecondition,
-      fmt::format("scene '{}' is in lockstep: it steps only when asked, there is nothing to {}", model_.name, what));
+      fmt::format("scene '{}' is in lockstep: it steps only when asked, there is nothing to {}", model().name, what));
 }
 
 /// left: what was not done.
 tl::unexpected<Error> Loop::unload_error(std::string_view left) const {
-  return fail(ErrorCode::kUnavailable, fmt::format("scene '{}' is being unloaded; {}", model_.name, left));
+  return fail(ErrorCode::kUnavailable, fmt::format("scene '{}' is being unloaded; {}", model().name, left));
 }
 
 Result<v1::SceneStatus> Loop::do_pause() {
@@ -317,7 +304,7 @@ Result<v1::SceneStatus> Loop::do_step(std::uint32_t count) {
     return fail(ErrorCode::kFailedPrecondition,
                 fmt::format("scene '{}' runs by the clock; pause it, or load it with stepping.lockstep, to step it by "
                             "hand",
-                            model_.name));
+                            model().name));
   }
   for (std::uint32_t i = 0; i < count; ++i) {
     const auto unloaded = [&] { return unload_error(fmt::format("{} of {} steps were done", i, count)); };
@@ -346,8 +333,8 @@ bool Loop::lockstep_frame_due(Clock::time_point now, bool last) {
 }
 
 Clock::duration Loop::lockstep_frame_interval() const {
-  if (!(model_.frame_rate_hz > 0)) return Clock::duration::max();
-  return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / model_.frame_rate_hz));
+  if (!(model().frame_rate_hz > 0)) return Clock::duration::max();
+  return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / model().frame_rate_hz));
 }
 
 Result<v1::SceneStatus> Loop::do_reset(EditPointer edit) {
@@ -366,9 +353,9 @@ void Loop::go_on_from_new_state() {
   device_failed_ = false;
   status_.clear();
   if (status_.state() == v1::SceneStatus::STATE_FAULTED) {
-    set_state(model_.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING);
+    set_state(model().lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING);
   }
-  for (PoseInbox& inbox : inboxes_->tools) inbox.take();  // drops poses that were sent before
+  for (PoseInbox& inbox : inboxes_.tools) inbox.take();  // drops poses that were sent before
   std::fill(expiry_.begin(), expiry_.end(), Clock::time_point::max());
   outputs_.take_step(Clock::now());
   status_.take_stamp(outputs_.stamp());
@@ -379,23 +366,23 @@ Result<v1::Frame> Loop::do_frame() {
   TM_RETURN_IF_ERROR(require_state());
   if (!outputs_.has_frames()) {
     return fail(ErrorCode::kFailedPrecondition,
-                fmt::format("scene '{}' has no frames: streams.frame_rate_hz is 0", model_.name));
+                fmt::format("scene '{}' has no frames: streams.frame_rate_hz is 0", model().name));
   }
   return outputs_.frame();
 }
 
-Result<const model::BodyModel*> Loop::find_body(std::string_view name) const {
-  for (const model::BodyModel& body : model_.bodies) {
+Result<const model::BodyModel*> find_body(const model::Model& model, std::string_view name) {
+  for (const model::BodyModel& body : model.bodies) {
     if (body.name == name) return &body;
   }
   return fail(ErrorCode::kNotFound,
-              fmt::format("scene '{}' has no body '{}'; it has: {}", model_.name, name,
-                          list_names(model_.bodies, [](const model::BodyModel& body) { return body.name; })));
+              fmt::format("scene '{}' has no body '{}'; it has: {}", model.name, name,
+                          list_names(model.bodies, [](const model::BodyModel& body) { return body.name; })));
 }
 
 Result<v1::GetPositionsResponse> Loop::do_positions(std::string_view name) {
   TM_RETURN_IF_ERROR(require_state());
-  TM_ASSIGN_OR_RETURN(body, find_body(name));
+  TM_ASSIGN_OR_RETURN(body, find_body(model(), name));
   const std::vector<double> positions = world_->positions(*body);
   v1::GetPositionsResponse response;
   response.set_step(world_->step_count());
@@ -405,7 +392,7 @@ Result<v1::GetPositionsResponse> Loop::do_positions(std::string_view name) {
 
 Result<Loop::FieldSource> Loop::do_copy_state() {
   TM_RETURN_IF_ERROR(require_state());
-  return FieldSource{world_->state(), world_->step_count(), world_->simulated_time_s()};
+  return FieldSource{world_->state(), world_->step_count(), world_->simulated_time_s(), generation()};
 }
 
 Result<void> Loop::do_set_signal(std::function<void()> signal) {

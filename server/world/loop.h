@@ -22,11 +22,13 @@
 #include "core/assert.h"
 #include "core/result.h"
 #include "tensormass/v1/control.pb.h"
+#include "world/generation.h"
 #include "world/hand_phase.h"
 #include "world/iteration_budget.h"
 #include "world/loop_outputs.h"
 #include "world/loop_status.h"
 #include "world/pose_inbox.h"
+#include "world/present.h"
 #include "world/recording.h"
 #include "world/replay.h"
 #include "world/snapshot.h"
@@ -53,6 +55,8 @@
 /// step allocates nothing.
 namespace tensormass::world {
 
+Result<const model::BodyModel*> find_body(const model::Model& model, std::string_view name);
+
 class Loop {
  public:
   /// The state that fields are measured from, by the thread that asked and not by the loop.
@@ -60,24 +64,11 @@ class Loop {
     backend::RowState state;
     std::uint64_t step;
     double simulated_time_s;
-  };
-
-  /// How a loop begins, if it goes on where another one ended.
-  struct Start {
-    bool paused = false;
-    /// The loop before it, which has handed over and steps no more.
-    std::shared_ptr<const Loop> before = nullptr;
-    std::shared_ptr<Recording> recording = nullptr;
-    EditPointer edit = nullptr;                      ///< what the change was, for the recording
-    std::shared_ptr<PoseInboxes> inboxes = nullptr;  ///< nullptr: new ones
-    std::function<void()> signal = nullptr;          ///< as of do_set_signal
-    std::shared_ptr<FrameCount> frames_published = std::make_shared<FrameCount>(0);
-    std::shared_ptr<StepStatistics> statistics = std::make_shared<StepStatistics>();
-    std::shared_ptr<SceneCounts> counts = std::make_shared<SceneCounts>();
+    GenerationPointer generation;
   };
 
   /// Starts the thread. backend: its name, for the status.
-  Loop(std::string backend, std::unique_ptr<World> world, const Start& start);
+  Loop(std::string backend, std::unique_ptr<World> world, GenerationPointer generation);
   /// Ends the thread after the step at hand. No `call` may be under way.
   ~Loop();
   Loop(const Loop&) = delete;
@@ -95,22 +86,24 @@ class Loop {
   template <class Command>
   auto read(Command command) -> decltype(command());
 
-  const model::Model& model() const { return model_; }
+  /// The present values of the scene. A state of it may be of earlier ones: commands return those of theirs.
+  GenerationPointer generation() const { return generation_.get(); }
   const LoopStatus& status() const { return status_; }
-  Result<const model::BodyModel*> find_body(std::string_view name) const;
   Result<void> submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source);
-  void count_malformed_pose() { inboxes_->malformed.fetch_add(1, std::memory_order_relaxed); }
+  void count_malformed_pose() { inboxes_.malformed.fetch_add(1, std::memory_order_relaxed); }
   /// Returns false if the loop should have turned at least `late` ago: a step or a command hangs. A loop that waits for
   /// a command, or for a step that is not due, is well.
   bool turns(Clock::time_point now, Clock::duration late) const {
     return now.time_since_epoch().count() - due_by_.load(std::memory_order_relaxed) < late.count();
   }
-  const PoseInbox& inbox(std::size_t tool) const { return inboxes_->tools[tool]; }
+  const PoseInbox& inbox(std::size_t tool) const { return inboxes_.tools[tool]; }
   /// Ends the step at hand and a `do_step` in progress, because nobody will see the scene again.
   void cancel() {
+    const std::lock_guard lock(cancelling_);
     cancelled_.store(true, std::memory_order_relaxed);
     world_->stop();
   }
+  bool cancelled() const { return cancelled_.load(std::memory_order_relaxed); }
 
   // -- the publisher's thread -----------------------------------------------------------------------------------------
 
@@ -136,7 +129,8 @@ class Loop {
   struct StartedRecording {
     std::shared_ptr<Recording> recording;
     std::uint64_t step = 0;
-    std::optional<LoopState> state;  ///< before the first recorded step; no value: it is the scene's start
+    std::optional<LoopCopy> state;  ///< before the first recorded step; no value: it is the scene's start
+    GenerationPointer generation;
   };
   /// Records from the next step on.
   Result<StartedRecording> do_record(const RecordingOptions& options);
@@ -144,25 +138,23 @@ class Loop {
   Result<void> do_stop_recording(const std::shared_ptr<Recording>& recording);
   /// Makes recorded steps; see ReplayScene. Their edits are done before, by the caller.
   Result<v1::ReplaySceneResponse> do_replay(std::span<const Replay::Step> steps);
-  Result<LoopState> do_save();
-  struct Kept {
-    LoopState state;
+  struct SavedState {
+    LoopCopy state;
+    GenerationPointer generation;
+  };
+  Result<SavedState> do_save();
+  struct Kept : SavedState {
     bool paused = false;
     std::chrono::nanoseconds held{};  ///< time for which the loop could not step
   };
   /// As `do_save`, but refuses a loop that was cancelled: its last step may have ended midway.
   Result<Kept> do_keep();
-  /// edit: the Restore that brought the state.
-  Result<v1::SceneStatus> do_restore(const LoopState& state, EditPointer edit);
-
-  struct HandedOver {
-    LoopState state;
-    Start start;
-  };
-  /// Stops stepping and returns the state, from which another loop goes on. The recording leaves this one.
-  Result<HandedOver> do_hand_over();
-  /// Steps again, because the other loop could not be made. recording: as it was handed over.
-  Result<void> do_go_on(std::shared_ptr<Recording> recording);
+  /// edit: the Restore that brought the state. generation: of the state; fails with kUnavailable if it has passed.
+  Result<v1::SceneStatus> do_restore(const LoopCopy& state, EditPointer edit, const GenerationPointer& generation);
+  /// Puts another world of the scene in place of the present one, whose state it takes. On success `next` is the world
+  /// before, which may take long to end. On failure the scene is unchanged. Clears a fault of the guard.
+  /// generation: of `next`. edit: what the change was, for a recording.
+  Result<void> do_swap(std::unique_ptr<World>& next, GenerationPointer generation, EditPointer edit);
 
  private:
   using State = LoopStatus::State;
@@ -206,18 +198,22 @@ class Loop {
   tl::unexpected<Error> lockstep_error(std::string_view what) const;
   Clock::duration lockstep_frame_interval() const;
 
-  const std::unique_ptr<World> world_;
-  const model::Model& model_;
+  const model::Model& model() const { return world_->model(); }
+
+  std::unique_ptr<World> world_;  // the loop's own; replaced with `cancelling_`, which `cancel` takes to read it
 
   // Shared with other threads.
-  const std::shared_ptr<PoseInboxes> inboxes_;
+  PoseInboxes inboxes_;
+  Present<Generation> generation_;
   IterationBudget budget_;
+  const std::shared_ptr<SceneCounts> counts_ = std::make_shared<SceneCounts>();
   LoopOutputs outputs_;
   LoopStatus status_;
   std::mutex mutex_;
   std::condition_variable wake_;
   std::deque<std::function<void()>> commands_;  // guarded by mutex_
   bool quit_ = false;                           // guarded by mutex_
+  std::mutex cancelling_;
   std::atomic<bool> cancelled_{false};
   std::atomic<Clock::rep> due_by_{kNotDue};
   std::atomic<bool> listens_{false};  // the loop waits for a pose: wake it
@@ -231,7 +227,6 @@ class Loop {
   Clock::time_point last_lockstep_frame_{};
   std::uint64_t next_diagnostics_ = 0;  // step
   bool device_failed_ = false;
-  bool handed_over_ = false;              // another loop steps this scene
   std::shared_ptr<Recording> recording_;  // nullptr: nobody records
 
   std::thread thread_;  // last: uses all of the above
@@ -257,7 +252,7 @@ auto Loop::call(Command command) -> decltype(command()) {
     } catch (const std::exception& failure) {
       stop_for_device(failure);
       return fail(ErrorCode::kUnavailable,
-                  fmt::format("scene '{}': the device failed: {}; unload the scene and load it again", model_.name,
+                  fmt::format("scene '{}': the device failed: {}; unload the scene and load it again", model().name,
                               failure.what()));
     }
   };

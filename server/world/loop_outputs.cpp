@@ -8,37 +8,36 @@
 
 namespace tensormass::world {
 
-LoopOutputs::LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_published,
-                         std::shared_ptr<SceneCounts> counts)
-    : world_(world),
-      model_(world.model()),
-      tools_(model_.tools.size()),
+LoopOutputs::LoopOutputs(World& world, std::shared_ptr<SceneCounts> counts)
+    : world_(&world),
+      model_(world.shared_model()),
+      tools_(world.model().tools.size()),
       frames_(FrameSlot{{},
                         std::vector<float>(world.visible_positions().size()),
                         tools_,
                         std::vector<std::uint8_t>(world.broken_springs().size())}),
       feedback_(FeedbackSlot{{}, tools_}),
       status_feedback_(FeedbackSlot{{}, tools_}),
-      frames_published_(std::move(frames_published)),
       counts_(std::move(counts)),
       answered_(tools_.size()) {
   take_step(Clock::now());
   for (std::size_t i = 0; i < tools_.size(); ++i) answered_[i] = tools_[i].newest.arrived;
 }
 
-void LoopOutputs::go_on_from(const LoopOutputs& other) {
-  frames_replaced_.fetch_add(other.frames_replaced_.load());
-  was_recovering_ = other.was_recovering_;
-  log_ = other.log_;
-  if (log_.size() > 0) leave_events();
-  if (other.newest_changes_) set_changes(other.newest_changes_);
+void LoopOutputs::go_on_with(World& world) noexcept {
+  TM_ASSERT(world.readings().size() == tools_.size() &&
+                world.model().visible.count() == world_->model().visible.count() &&
+                world.broken_springs().size() == world_->broken_springs().size(),
+            "slots have the sizes of what they take");
+  world_ = &world;
+  (void)model_.replace(world.shared_model());
 }
 
 void LoopOutputs::take_step(Clock::time_point began) {
-  const std::span<const ToolReading> readings = world_.readings();
+  const std::span<const ToolReading> readings = world_->readings();
   TM_ASSERT(readings.size() == tools_.size(), "a reading for each tool");
-  stamp_ = {world_.step_count(), world_.simulated_time_s(), unix_time_ns(), began,
-            Clock::now(),        world_.topology_version()};
+  stamp_ = {world_->step_count(), world_->simulated_time_s(), unix_time_ns(), began,
+            Clock::now(),         world_->topology_version()};
   stamp_changes();
   std::copy(readings.begin(), readings.end(), tools_.begin());
 }
@@ -51,18 +50,18 @@ void LoopOutputs::stamp_changes() {
 
 void LoopOutputs::set_changes(SurfaceChangesPointer changes) {
   TM_ASSERT(changes != nullptr, "changes of a surface");
-  TM_ASSERT(newest_changes_ == nullptr || stamp_.topology_version != world_.topology_version() ||
+  TM_ASSERT(newest_changes_ == nullptr || stamp_.topology_version != world_->topology_version() ||
                 changes->revision >= newest_changes_->revision,
             "a revision never falls");
   newest_changes_ = std::move(changes);
-  stamp_.topology_version = world_.topology_version();
+  stamp_.topology_version = world_->topology_version();
   stamp_changes();
   leave_changes();
 }
 
 void LoopOutputs::leave_changes() {
   for (Latest<ChangesSlot>* mailbox : {&changes_, &shown_changes_}) {
-    mailbox->writing() = {newest_changes_, world_.topology_version()};
+    mailbox->writing() = {newest_changes_, world_->topology_version()};
     mailbox->publish();
   }
 }
@@ -73,18 +72,18 @@ void LoopOutputs::add_event(const SceneEvent& event) {
 }
 
 void LoopOutputs::leave_events() {
-  events_.writing() = {log_, world_.topology_version()};
+  events_.writing() = {log_, world_->topology_version()};
   events_.publish();
 }
 
 void LoopOutputs::note_guard() {
-  const GuardEvent* event = world_.guard_event();
-  const bool begins = world_.recovering() && !was_recovering_;
-  was_recovering_ = world_.recovering();
+  const GuardEvent* event = world_->guard_event();
+  const bool begins = world_->recovering() && !was_recovering_;
+  was_recovering_ = world_->recovering();
   if (event == nullptr) return;
   const bool stopped = event->outcome == GuardEvent::Outcome::kStopped;
   if (!begins && !stopped) return;
-  add_event({.kind = stopped ? EventKind::kGuard : EventKind::kHeld, .step = world_.step_count(), .guard = *event});
+  add_event({.kind = stopped ? EventKind::kGuard : EventKind::kHeld, .step = world_->step_count(), .guard = *event});
 }
 
 void LoopOutputs::release_tools() {
@@ -100,7 +99,7 @@ void LoopOutputs::release_tools() {
 }
 
 void LoopOutputs::gather_frame() {
-  if (has_frames()) world_.gather_visible();
+  if (has_frames()) world_->gather_visible();
 }
 
 void LoopOutputs::publish(bool with_frame) {
@@ -128,8 +127,8 @@ void LoopOutputs::leave_feedback() {
 void LoopOutputs::leave_frame() {
   if (!has_frames()) return;
   FrameSlot& slot = frames_.writing();
-  const std::span<const float> positions = world_.visible_positions();
-  const std::span<const std::uint8_t> broken = world_.broken_springs();
+  const std::span<const float> positions = world_->visible_positions();
+  const std::span<const std::uint8_t> broken = world_->broken_springs();
   TM_ASSERT(slot.positions.size() == positions.size() && slot.tools.size() == tools_.size() &&
                 slot.broken_springs.size() == broken.size(),
             "a slot has the size of what it takes, so copying allocates nothing");
@@ -142,35 +141,36 @@ void LoopOutputs::leave_frame() {
 
 v1::Frame LoopOutputs::frame() {
   TM_ASSERT(has_frames(), "only a scene with visible nodes has frames");
-  world_.gather_visible();
+  world_->gather_visible();
   v1::Frame frame;
-  frame.set_sequence(frames_published_->load(std::memory_order_relaxed));
-  fill_frame(model_, stamp_, world_.visible_positions(), tools_, world_.broken_springs(), frame);
+  frame.set_sequence(frames_published_.load(std::memory_order_relaxed));
+  fill_frame(world_->model(), stamp_, world_->visible_positions(), tools_, world_->broken_springs(), frame);
   return frame;
 }
 
 v1::ToolFeedback LoopOutputs::feedback(std::size_t tool) const {
   TM_ASSERT(tool < tools_.size(), "feedback is of a tool of the scene");
   v1::ToolFeedback feedback;
-  fill_feedback(model_, stamp_, tool, tools_[tool], feedback);
+  fill_feedback(world_->model(), stamp_, tool, tools_[tool], feedback);
   return feedback;
 }
 
 bool LoopOutputs::take_frame(v1::Frame& frame) {
   const FrameSlot* slot = frames_.take();
   if (slot == nullptr) return false;
-  frame.set_sequence(frames_published_->fetch_add(1, std::memory_order_relaxed) + 1);
-  fill_frame(model_, slot->stamp, slot->positions, slot->tools, slot->broken_springs, frame);
+  frame.set_sequence(frames_published_.fetch_add(1, std::memory_order_relaxed) + 1);
+  fill_frame(*model_.get(), slot->stamp, slot->positions, slot->tools, slot->broken_springs, frame);
   return true;
 }
 
 bool LoopOutputs::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
   const FeedbackSlot* slot = feedback_.take();
   if (slot == nullptr) return false;
+  const std::shared_ptr<const model::Model> model = model_.get();
   feedback.resize(slot->tools.size());
   for (std::size_t i = 0; i < slot->tools.size(); ++i) {
-    fill_feedback(model_, slot->stamp, i, slot->tools[i], feedback[i]);
-    count_answer(i, slot->tools[i].newest.arrived);
+    fill_feedback(*model, slot->stamp, i, slot->tools[i], feedback[i]);
+    if (!model->lockstep) count_answer(i, slot->tools[i].newest.arrived);
   }
   return true;
 }
@@ -185,7 +185,7 @@ bool LoopOutputs::take_changes(v1::SurfaceChanges& changes) {
 bool LoopOutputs::take_events(v1::SceneEvents& events) {
   const EventsSlot* slot = events_.take();
   if (slot == nullptr) return false;
-  fill_events(model_, *slot, events);
+  fill_events(*model_.get(), *slot, events);
   return true;
 }
 
@@ -200,20 +200,21 @@ bool LoopOutputs::changes(v1::SurfaceChanges& changes) const {
 /// Counts the time from a pose to its force, once for each pose. A scene in lockstep steps when somebody asks for it,
 /// so the time says nothing there.
 void LoopOutputs::count_answer(std::size_t tool, Clock::time_point arrived) {
-  if (model_.lockstep || arrived == answered_[tool] || arrived == Clock::time_point{}) return;
+  if (arrived == answered_[tool] || arrived == Clock::time_point{}) return;
   answered_[tool] = arrived;
   counts_->poses_to_force.add(std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - arrived).count());
 }
 
 void LoopOutputs::add_to(v1::SceneStatus& status) const {
-  status.set_frames_published(frames_published_->load(std::memory_order_relaxed));
+  status.set_frames_published(frames_published_.load(std::memory_order_relaxed));
   status.set_frames_replaced(frames_replaced_.load(std::memory_order_relaxed));
   const std::lock_guard lock(status_mutex_);
   if (const FeedbackSlot* newer = status_feedback_.take()) newest_status_feedback_ = newer;
   if (newest_status_feedback_ == nullptr) return;
   const FeedbackSlot& slot = *newest_status_feedback_;
+  const std::shared_ptr<const model::Model> model = model_.get();
   for (std::size_t i = 0; i < slot.tools.size(); ++i) {
-    fill_feedback(model_, slot.stamp, i, slot.tools[i], *status.add_tools());
+    fill_feedback(*model, slot.stamp, i, slot.tools[i], *status.add_tools());
   }
 }
 

@@ -10,6 +10,7 @@
 #include "tensormass/v1/stream.pb.h"
 #include "world/latest.h"
 #include "world/messages.h"
+#include "world/present.h"
 #include "world/scene_counts.h"
 #include "world/world.h"
 
@@ -32,21 +33,16 @@
 /// and events hold everything so far, so a reader that misses some loses nothing.
 namespace tensormass::world {
 
-/// Number of frames of a scene that readers took, which is the sequence of the last one. A loop that takes the place of
-/// another one counts on: the reader may still be taking a frame of the other one.
-using FrameCount = std::atomic<std::uint64_t>;
-
 class LoopOutputs {
  public:
-  /// `world` outlives the outputs. Allocates all buffers, so that publishing allocates nothing.
-  /// frames_published, counts: shared with the earlier loops of the scene.
-  explicit LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_published = std::make_shared<FrameCount>(0),
-                       std::shared_ptr<SceneCounts> counts = std::make_shared<SceneCounts>());
+  /// `world` outlives the outputs, or the next call of go_on_with. Allocates all buffers, so that publishing allocates
+  /// nothing.
+  explicit LoopOutputs(World& world, std::shared_ptr<SceneCounts> counts = std::make_shared<SceneCounts>());
 
   // -- the loop's thread; these read the world ------------------------------------------------------------------------
 
-  /// Goes on counting where other outputs of the same scene ended, with their events and changes.
-  void go_on_from(const LoopOutputs& other);
+  /// Goes on with another world of the same scene: same tools, same visible nodes.
+  void go_on_with(World& world) noexcept;
   /// Copies step, time and tool readings from the world.
   void take_step(Clock::time_point began);
   /// Takes what became of the surface. Frames of the steps from here on have its revision, and the world's visible
@@ -60,7 +56,7 @@ class LoopOutputs {
   /// Zeroes force, torque and stiffness of every tool: a scene that does not step must not push anyone's hand.
   void release_tools();
 
-  bool has_frames() const { return model_.visible.count() > 0; }
+  bool has_frames() const { return world_->model().visible.count() > 0; }
   /// Has the world collect its visible positions, if there are any, unless its last step did so.
   void gather_frame();
   /// Leaves the results in the mailboxes and calls the signal.
@@ -88,7 +84,6 @@ class LoopOutputs {
 
   // -- any thread -----------------------------------------------------------------------------------------------------
 
-  const std::shared_ptr<FrameCount>& frames_published() const { return frames_published_; }
   /// Fills in the newest changes of the surface; false if there were none.
   bool changes(v1::SurfaceChanges& changes) const;
   /// Adds the counts of frames and the newest feedback of all tools.
@@ -102,8 +97,8 @@ class LoopOutputs {
   void leave_events();
   void count_answer(std::size_t tool, Clock::time_point arrived);
 
-  World& world_;
-  const model::Model& model_;
+  World* world_;                 // the loop's
+  Present<model::Model> model_;  // for other threads
   // The loop's own copy of the newest results; readers get copies of it.
   StepStamp stamp_;
   std::vector<ToolReading> tools_;
@@ -124,10 +119,10 @@ class LoopOutputs {
   mutable const ChangesSlot* newest_shown_changes_ = nullptr;
   Latest<EventsSlot> events_;
 
-  const std::shared_ptr<FrameCount> frames_published_;
   const std::shared_ptr<SceneCounts> counts_;
   std::vector<Clock::time_point> answered_;  // [tool]: arrival of the newest pose that was counted; the publisher's
-  std::atomic<std::uint64_t> frames_replaced_{0};
+  // frames_published_: those that the publisher took, which is the sequence of the last one.
+  std::atomic<std::uint64_t> frames_published_{0}, frames_replaced_{0};
 };
 
 }  // namespace tensormass::world

@@ -19,17 +19,18 @@ Result<Loop::StartedRecording> Loop::do_record(const RecordingOptions& options) 
   drop_abandoned_recording();
   if (recording_) {
     return fail(ErrorCode::kFailedPrecondition,
-                fmt::format("scene '{}' is being recorded; end that recording first", model_.name));
+                fmt::format("scene '{}' is being recorded; end that recording first", model().name));
   }
   StartedRecording out;
   if (options.reset) {
     (void)do_reset(nullptr);  // nothing records it yet
   } else {
-    TM_ASSIGN_OR_RETURN(state, do_save());
-    out.state = std::move(state);
+    TM_ASSIGN_OR_RETURN(copy, do_save());
+    out.state = std::move(copy.state);
   }
+  out.generation = generation();
   out.step = world_->step_count();
-  out.recording = recording_ = std::make_shared<Recording>(model_, options);
+  out.recording = recording_ = std::make_shared<Recording>(model(), options);
   return out;
 }
 
@@ -39,7 +40,7 @@ Result<void> Loop::do_stop_recording(const std::shared_ptr<Recording>& recording
 }
 
 Result<v1::ReplaySceneResponse> Loop::do_replay(std::span<const Replay::Step> steps) {
-  TM_ASSERT(model_.lockstep, "read_replay refuses a scene that runs by the clock");
+  TM_ASSERT(model().lockstep, "read_replay refuses a scene that runs by the clock");
   v1::ReplaySceneResponse response;
   for (const Replay::Step& step : steps) {
     const auto unloaded = [&] { return unload_error(fmt::format("step {} was not replayed", step.index)); };
@@ -69,23 +70,23 @@ Result<v1::ReplaySceneResponse> Loop::do_replay(std::span<const Replay::Step> st
                                      status_.require_not_faulted().error().message));
     }
     if (good && step.checks) {
-      *response.add_checks() = make_check(step.index, step.step, world_->state(), model_.layout.row_of_node);
+      *response.add_checks() = make_check(step.index, step.step, world_->state(), model().layout.row_of_node);
     }
   }
   *response.mutable_status() = status_.make();
   return response;
 }
 
-Result<LoopState> Loop::do_save() {
+Result<Loop::SavedState> Loop::do_save() {
   TM_RETURN_IF_ERROR(require_state());
-  return LoopState{world_->save(), next_diagnostics_};
+  return SavedState{{world_->copy(), next_diagnostics_}, generation()};
 }
 
 Result<Loop::Kept> Loop::do_keep() {
   const Clock::time_point begin = Clock::now();
   if (cancelled_.load(std::memory_order_relaxed)) return unload_error("its state was not kept");
-  TM_ASSIGN_OR_RETURN(state, do_save());
-  return Kept{std::move(state), status_.state() == v1::SceneStatus::STATE_PAUSED, Clock::now() - begin};
+  TM_ASSIGN_OR_RETURN(copy, do_save());
+  return Kept{std::move(copy), status_.state() == v1::SceneStatus::STATE_PAUSED, Clock::now() - begin};
 }
 
 void Loop::drop_abandoned_recording() {
@@ -94,26 +95,47 @@ void Loop::drop_abandoned_recording() {
   recording_.reset();
 }
 
-Result<Loop::HandedOver> Loop::do_hand_over() {
-  TM_ASSIGN_OR_RETURN(state, do_save());
-  handed_over_ = true;
-  Start start{.paused = status_.state() == v1::SceneStatus::STATE_PAUSED,
-              .frames_published = outputs_.frames_published(),
-              .statistics = status_.statistics(),
-              .counts = status_.counts()};
-  start.recording = std::move(recording_);
-  start.inboxes = inboxes_;
-  return HandedOver{std::move(state), std::move(start)};
-}
-
-Result<void> Loop::do_go_on(std::shared_ptr<Recording> recording) {
-  handed_over_ = false;
-  recording_ = std::move(recording);
-  clock_.restart(Clock::now());
+Result<void> Loop::do_swap(std::unique_ptr<World>& next, GenerationPointer generation, EditPointer edit) {
+  TM_RETURN_IF_ERROR(require_state());
+  try {
+    const World::Copied copy = world_->copy();
+    try {
+      next->take_over(World::by_node(model(), copy));
+    } catch (const std::bad_alloc&) {
+      throw;
+    } catch (const std::exception& failure) {
+      return fail(ErrorCode::kUnavailable,
+                  fmt::format("the device failed: {}; the scene is unchanged", failure.what()));
+    }
+  } catch (const std::bad_alloc&) {
+    return fail(ErrorCode::kResourceExhausted, "the server has no memory for the change; the scene is unchanged");
+  }
+  // Nothing from here on can fail.
+  {
+    const std::lock_guard lock(cancelling_);
+    world_.swap(next);
+    if (cancelled()) world_->stop();
+  }
+  const bool was_faulted = status_.state() == v1::SceneStatus::STATE_FAULTED;
+  outputs_.go_on_with(*world_);
+  status_.go_on_with(world_->shared_model());
+  (void)generation_.replace(std::move(generation));
+  next_diagnostics_ = 0;
+  if (was_faulted) clock_.restart(Clock::now());
+  if (recording_) recording_->take_edit({std::move(edit), world_->step_count()});
+  outputs_.take_step(Clock::now());
+  outputs_.add_event({.kind = EventKind::kAdjusted, .step = world_->step_count()});
+  if (status_.state() == v1::SceneStatus::STATE_PAUSED) outputs_.release_tools();
+  status_.take_stamp(outputs_.stamp());
+  outputs_.publish(true);
   return {};
 }
 
-Result<v1::SceneStatus> Loop::do_restore(const LoopState& state, EditPointer edit) {
+Result<v1::SceneStatus> Loop::do_restore(const LoopCopy& state, EditPointer edit, const GenerationPointer& generation) {
+  TM_RETURN_IF_ERROR(require_state());
+  if (generation_.get() != generation) {
+    return fail(ErrorCode::kUnavailable, fmt::format("scene '{}' was adjusted at the same time", model().name));
+  }
   budget_.clear();
   world_->restore(state.world);
   next_diagnostics_ = state.next_diagnostics;

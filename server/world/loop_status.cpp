@@ -22,17 +22,27 @@ void fill(const DurationCounts& counts, v1::DurationHistogram& out) {
 
 }  // namespace
 
-LoopStatus::LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget,
-                       const PoseInboxes& inboxes, const LoopOutputs& outputs,
-                       std::shared_ptr<StepStatistics> statistics, std::shared_ptr<SceneCounts> counts)
-    : model_(model),
+LoopStatus::LoopStatus(const std::shared_ptr<const model::Model>& model, std::string backend,
+                       const IterationBudget& budget, const PoseInboxes& inboxes, const LoopOutputs& outputs,
+                       std::shared_ptr<SceneCounts> counts)
+    : settings_(*model),
       backend_(std::move(backend)),
       inboxes_(inboxes),
       outputs_(outputs),
-      state_(model.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING),
-      statistics_(std::move(statistics)),
+      state_(model->lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING),
+      statistics_(std::make_shared<StepStatistics>()),
       counts_(std::move(counts)),
       findings_(model, budget) {}
+
+void LoopStatus::go_on_with(const std::shared_ptr<const model::Model>& model) noexcept {
+  findings_.go_on_with(model);
+  if (state_ != v1::SceneStatus::STATE_FAULTED) return;
+  {
+    const std::lock_guard lock(fault_mutex_);
+    fault_.clear();
+  }
+  set_state(settings_.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING);
+}
 
 void LoopStatus::set_state(State next) {
   state_ = next;
@@ -65,17 +75,17 @@ void LoopStatus::take_stamp(const StepStamp& stamp) {
 Result<void> LoopStatus::require_not_faulted() const {
   if (state_ != v1::SceneStatus::STATE_FAULTED) return {};
   const std::lock_guard lock(fault_mutex_);
-  return fail(ErrorCode::kFailedPrecondition, fmt::format("scene '{}' is stopped: {}", model_.name, fault_));
+  return fail(ErrorCode::kFailedPrecondition, fmt::format("scene '{}' is stopped: {}", settings_.name, fault_));
 }
 
 v1::SceneStatus LoopStatus::make() const {
   v1::SceneStatus status;
-  status.set_scene(model_.name);
+  status.set_scene(settings_.name);
   status.set_state(state_);
   status.set_step(step_count_.load(std::memory_order_relaxed));
   status.set_simulated_time_s(simulated_time_s_.load(std::memory_order_relaxed));
   status.set_server_time_ns(unix_time_ns());
-  status.set_target_rate_hz(model_.lockstep ? 0 : model_.rate_hz);
+  status.set_target_rate_hz(settings_.lockstep ? 0 : settings_.rate_hz);
   status.set_reached_rate_hz(statistics_->reached_rate_hz());
   status.set_missed_deadlines(statistics_->missed_deadlines());
   const StepStatistics::Percentiles times = statistics_->percentiles();
@@ -105,7 +115,7 @@ v1::SceneStatus LoopStatus::make() const {
 bool LoopStatus::take(v1::SceneStatus& status) {
   const Clock::time_point now = Clock::now();
   const bool changed = due_.exchange(false, std::memory_order_relaxed);
-  const double rate_hz = model_.status_rate_hz;
+  const double rate_hz = settings_.status_rate_hz;
   if (!changed && (rate_hz == 0 || now < next_)) return false;
   if (rate_hz > 0) {
     next_ = now + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / rate_hz));

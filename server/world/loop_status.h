@@ -29,10 +29,8 @@ class LoopStatus {
   using State = v1::SceneStatus::State;
 
   /// backend: its name, as in SceneStatus. All references outlive the status.
-  /// statistics, counts: shared with the earlier loops of the scene, so that they count from its load.
-  LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget, const PoseInboxes& inboxes,
-             const LoopOutputs& outputs, std::shared_ptr<StepStatistics> statistics,
-             std::shared_ptr<SceneCounts> counts);
+  LoopStatus(const std::shared_ptr<const model::Model>& model, std::string backend, const IterationBudget& budget,
+             const PoseInboxes& inboxes, const LoopOutputs& outputs, std::shared_ptr<SceneCounts> counts);
 
   // -- the loop's thread ----------------------------------------------------------------------------------------------
 
@@ -42,8 +40,8 @@ class LoopStatus {
   void set_fault(std::string reason);
   /// Clears a fault and all findings of a scene that was reset. The state stays: set_state changes it.
   void clear();
-  /// Goes on counting where another status of the same scene ended.
-  void go_on_from(const LoopStatus& other) { findings_.go_on_from(other.findings_); }
+  /// Goes on counting with a model of other values. A fault has ended, because its values are gone.
+  void go_on_with(const std::shared_ptr<const model::Model>& model) noexcept;
   /// Takes what World::step found, also if the guard stopped the scene.
   /// A status is due if a recovery began or ended.
   void take_step(const World& world) {
@@ -84,7 +82,7 @@ class LoopStatus {
   bool take(v1::SceneStatus& status);
 
  private:
-  const model::Model& model_;
+  const model::Settings settings_;
   const std::string backend_;
   const PoseInboxes& inboxes_;
   const LoopOutputs& outputs_;

@@ -89,8 +89,7 @@ class PoseInbox {
   std::atomic<std::uint64_t> received_{0}, rejected_{0}, superseded_{0};
 };
 
-/// The inboxes of a scene. An adjustment puts another loop in place of the present one, and both have the same inboxes:
-/// so a pose that is on its way to the old loop reaches the new one.
+/// The inboxes of a scene.
 struct PoseInboxes {
   explicit PoseInboxes(std::size_t tool_count) : tools(tool_count) {}
 

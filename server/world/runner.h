@@ -118,7 +118,7 @@ class Runner {
   Result<v1::SceneStatus> restore(std::string_view snapshot);
   /// Which state the scene is in. Costs next to nothing.
   StateMark mark() const;
-  /// The state for another process. Fails with kUnavailable for a scene that is cancelled or being adjusted.
+  /// The state for another process. Fails with kUnavailable for a scene that is cancelled.
   Result<KeptState> keep();
   /// Returns false if the loop hangs: its turn was due at least `late` ago.
   bool turns(std::chrono::nanoseconds late) const;

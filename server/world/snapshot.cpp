@@ -22,7 +22,8 @@ namespace {
 
 /// The first byte is not text, and a transfer that changes ends of lines damages the last one.
 constexpr std::array<char, 8> kMagic{'\x89', 'T', 'M', 'S', 'N', 'A', 'P', '\n'};
-constexpr std::uint32_t kVersion = 1;
+/// Version 1 had the tissue in the order of a layout.
+constexpr std::uint32_t kVersion = 2;
 /// Largest number of a snapshot, because a scene of single precision stores it as a float.
 constexpr double kMaxReal = std::numeric_limits<float>::max();
 /// Allowed excess over a bound that a step was checked with in single precision.
@@ -43,7 +44,10 @@ std::uint64_t checksum_of(std::string_view bytes) {
   return hash.value();
 }
 
+/// Leaves out an array of zeros: packed in a file, it would look like one that is made to fill a reader's memory.
 void write_doubles(const std::vector<double>& values, std::string& out) {
+  const auto is_zero = [](double value) { return value == 0 && !std::signbit(value); };
+  if (std::all_of(values.begin(), values.end(), is_zero)) return;
   out.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(double));
 }
 
@@ -53,9 +57,10 @@ void write_vector(const Vec3<double>& vector, v1::Vector3& out) {
   out.set_z(vector[2]);
 }
 
-/// Reads `count` finite numbers, none beyond `largest`.
+/// Reads `count` finite numbers, none beyond `largest`. No bytes: all are zero.
 Result<std::vector<double>> read_doubles(const std::string& bytes, std::size_t count, std::string_view where,
                                          double largest = kMaxReal) {
+  if (bytes.empty()) return std::vector<double>(count, 0.0);
   if (bytes.size() != count * sizeof(double)) {
     return invalid(
         fmt::format("snapshot.{}: {} bytes, but this scene has {}", where, bytes.size(), count * sizeof(double)));
@@ -74,12 +79,12 @@ Result<std::vector<double>> read_doubles(const std::string& bytes, std::size_t c
   return out;
 }
 
-/// Reads the displacement of each row, as far from rest as a step may end. displacement: [row_count, 4] m
+/// Reads the displacement of each node, as far from rest as a step may end. displacement: [node_count, 3] m
 Result<std::vector<double>> read_displacement(const std::string& bytes, const model::Model& model) {
-  const std::size_t count = 4 * std::size_t{model.layout.row_count};
+  const std::size_t count = sizes_of(model).nodes;
   TM_ASSIGN_OR_RETURN(out, read_doubles(bytes, count, "displacement", limits::kMaxLength));
   const double bound = kRounding * max_distance_m(model);
-  for (std::size_t i = 0; i < count; i += 4) {
+  for (std::size_t i = 0; i < count; i += 3) {
     const double distance = Vec3<double>(out[i], out[i + 1], out[i + 2]).norm();
     if (distance > bound) {
       return invalid(
@@ -203,29 +208,96 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
   return out;
 }
 
-Result<backend::StepHistory> read_history(const v1::SnapshotState& message, const backend::StepHistory& present) {
-  backend::StepHistory out;
-  TM_ASSIGN_OR_RETURN(displacement, read_doubles(message.previous_displacement(), present.previous_displacement.size(),
-                                                 "previous_displacement", limits::kMaxLength));
-  TM_ASSIGN_OR_RETURN(velocity, read_doubles(message.previous_velocity(), present.previous_velocity.size(),
-                                             "previous_velocity", limits::kMaxLength));
-  TM_ASSIGN_OR_RETURN(slips, read_doubles(message.slips(), present.slips.size(), "slips"));
-  // Snapshots without friction of bodies did not say on which side of its own surface a node is: as after a load.
-  std::vector<double> tie_slips(present.tie_slips.size(), 0.0);
-  if (!message.tie_slips().empty()) {
-    TM_ASSIGN_OR_RETURN(read, read_doubles(message.tie_slips(), tie_slips.size(), "tie_slips"));
-    tie_slips = std::move(read);
+void write_broken(const std::vector<std::uint8_t>& broken, std::string& out) {
+  if (std::any_of(broken.begin(), broken.end(), [](std::uint8_t one) { return one != 0; })) {
+    out.assign(broken.begin(), broken.end());
   }
-  TM_ASSIGN_OR_RETURN(broken, read_doubles(message.broken_springs(), present.broken.size(), "broken_springs"));
-  TM_ASSIGN_OR_RETURN(solution, read_doubles(message.solution(), present.solution.size(), "solution"));
+}
+
+/// Reads which of `count` springs are broken. No bytes: none is.
+Result<std::vector<std::uint8_t>> read_broken(const std::string& bytes, std::size_t count) {
+  if (bytes.empty()) return std::vector<std::uint8_t>(count, 0);
+  if (bytes.size() != count) {
+    return invalid(fmt::format("snapshot.broken_springs: {} bytes, but this scene has {}", bytes.size(), count));
+  }
+  if (std::any_of(bytes.begin(), bytes.end(), [](char one) { return one != 0 && one != 1; })) {
+    return invalid("snapshot.broken_springs: a spring is broken (1) or not (0), nothing else");
+  }
+  return std::vector<std::uint8_t>(bytes.begin(), bytes.end());
+}
+
+void write_edge_pair(const EdgePair& pair, v1::SnapshotEdgePair& out) {
+  out.set_contact(pair.contact);
+  for (const std::uint32_t node : {pair.edge[0], pair.edge[1], pair.other[0], pair.other[1]}) out.add_nodes(node);
+  out.set_slot(pair.slot);
+  write_vector({pair.stretch_m[0], pair.stretch_m[1], pair.stretch_m[2]}, *out.mutable_stretch_m());
+  out.set_force_n(pair.force_n);
+}
+
+Result<std::vector<EdgePair>> read_edge_pairs(const v1::SnapshotState& message, const model::Model& model) {
+  std::vector<EdgePair> out;
+  for (const v1::SnapshotEdgePair& pair : message.edge_pairs()) {
+    const std::string where = fmt::format("snapshot.edge_pairs[{}]", out.size());
+    if (pair.nodes_size() != 4) return invalid(fmt::format("{}.nodes: {}, not 4", where, pair.nodes_size()));
+    TM_ASSIGN_OR_RETURN(stretch, model::read_vector(pair.stretch_m(), where + ".stretch_m"));
+    TM_ASSIGN_OR_RETURN(force, model::read_number(pair.force_n(), 0, kMaxReal, where + ".force_n"));
+    out.push_back({pair.contact(),
+                   {pair.nodes(0), pair.nodes(1)},
+                   {pair.nodes(2), pair.nodes(3)},
+                   pair.slot(),
+                   {stretch[0], stretch[1], stretch[2]},
+                   force});
+  }
+  TM_RETURN_IF_ERROR(check_edge_pairs(model, out));
+  return out;
+}
+
+void write_tissue(const NodeState& tissue, v1::SnapshotState& out) {
+  write_doubles(tissue.displacement, *out.mutable_displacement());
+  write_doubles(tissue.velocity, *out.mutable_velocity());
+  write_doubles(tissue.internal_variables, *out.mutable_internal_variables());
+  out.set_internal_dt_s(tissue.internal_dt_s);
+  write_doubles(tissue.previous_displacement, *out.mutable_previous_displacement());
+  write_doubles(tissue.previous_velocity, *out.mutable_previous_velocity());
+  write_doubles(tissue.slips, *out.mutable_slips());
+  write_doubles(tissue.tie_slips, *out.mutable_tie_slips());
+  write_broken(tissue.broken, *out.mutable_broken_springs());
+  for (const EdgePair& pair : tissue.edge_pairs) write_edge_pair(pair, *out.add_edge_pairs());
+  write_doubles(tissue.solution, *out.mutable_solution());
+  out.set_last_dt_s(tissue.last_dt_s);
+  out.set_largest_force_squared(tissue.largest_force_squared);
+}
+
+Result<NodeState> read_tissue(const v1::SnapshotState& message, const model::Model& model) {
+  const NodeStateSizes sizes = sizes_of(model);
+  NodeState out;
+  TM_ASSIGN_OR_RETURN(displacement, read_displacement(message.displacement(), model));
+  TM_ASSIGN_OR_RETURN(velocity, read_doubles(message.velocity(), sizes.nodes, "velocity", limits::kMaxLength));
+  TM_ASSIGN_OR_RETURN(internal,
+                      read_doubles(message.internal_variables(), sizes.internal_variables, "internal_variables"));
+  TM_ASSIGN_OR_RETURN(internal_dt_s, read_finite(message.internal_dt_s(), "internal_dt_s"));
+  TM_ASSIGN_OR_RETURN(before, read_doubles(message.previous_displacement(), sizes.previous, "previous_displacement",
+                                           limits::kMaxLength));
+  TM_ASSIGN_OR_RETURN(velocity_before, read_doubles(message.previous_velocity(), sizes.previous, "previous_velocity",
+                                                    limits::kMaxLength));
+  TM_ASSIGN_OR_RETURN(slips, read_doubles(message.slips(), sizes.slips, "slips"));
+  TM_ASSIGN_OR_RETURN(tie_slips, read_doubles(message.tie_slips(), sizes.tie_slips, "tie_slips"));
+  TM_ASSIGN_OR_RETURN(broken, read_broken(message.broken_springs(), sizes.broken));
+  TM_ASSIGN_OR_RETURN(pairs, read_edge_pairs(message, model));
+  TM_ASSIGN_OR_RETURN(solution, read_doubles(message.solution(), sizes.solution, "solution"));
   TM_ASSIGN_OR_RETURN(last_dt_s, read_finite(message.last_dt_s(), "last_dt_s"));
   TM_ASSIGN_OR_RETURN(largest, read_finite(message.largest_force_squared(), "largest_force_squared"));
-  out.previous_displacement = std::move(displacement);
-  out.previous_velocity = std::move(velocity);
+  out.displacement = std::move(displacement);
+  out.velocity = std::move(velocity);
+  out.previous_displacement = std::move(before);
+  out.previous_velocity = std::move(velocity_before);
+  out.solution = std::move(solution);
+  out.internal_variables = std::move(internal);
   out.slips = std::move(slips);
   out.tie_slips = std::move(tie_slips);
   out.broken = std::move(broken);
-  out.solution = std::move(solution);
+  out.edge_pairs = std::move(pairs);
+  out.internal_dt_s = internal_dt_s;
   out.last_dt_s = last_dt_s;
   out.largest_force_squared = largest;
   return out;
@@ -264,20 +336,8 @@ std::string write_snapshot(const model::Model& model, std::uint64_t scene_hash, 
   v1::SnapshotState message;
   message.set_scene(model.name);
   message.set_scene_hash(scene_hash);
-  message.set_layout_hash(hash_of_layout(model));
   message.set_step(world.step_count);
-  write_doubles(world.rows.displacement, *message.mutable_displacement());
-  write_doubles(world.rows.velocity, *message.mutable_velocity());
-  write_doubles(world.rows.internal_variables, *message.mutable_internal_variables());
-  message.set_internal_dt_s(world.rows.internal_dt_s);
-  write_doubles(world.history.previous_displacement, *message.mutable_previous_displacement());
-  write_doubles(world.history.previous_velocity, *message.mutable_previous_velocity());
-  write_doubles(world.history.slips, *message.mutable_slips());
-  write_doubles(world.history.tie_slips, *message.mutable_tie_slips());
-  write_doubles(world.history.broken, *message.mutable_broken_springs());
-  write_doubles(world.history.solution, *message.mutable_solution());
-  message.set_last_dt_s(world.history.last_dt_s);
-  message.set_largest_force_squared(world.history.largest_force_squared);
+  write_tissue(world.tissue, message);
   for (std::size_t i = 0; i < world.tools.size(); ++i) {
     write_tool(world.tools[i], model.tools[i], *message.add_tools());
   }
@@ -298,8 +358,7 @@ std::string write_snapshot(const model::Model& model, std::uint64_t scene_hash, 
   return seal_snapshot(message.SerializeAsString());
 }
 
-Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_hash,
-                                const backend::StepHistory& present, std::string_view bytes) {
+Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_hash, std::string_view bytes) {
   TM_ASSIGN_OR_RETURN(content, open_snapshot(bytes));
   v1::SnapshotState message;
   if (content.size() > limits::kMaxControlMessageBytes ||
@@ -313,24 +372,11 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
                     "scene first, or adjust it as it was",
                     message.scene(), model.name));
   }
-  if (message.layout_hash() != hash_of_layout(model)) {
-    return fail(ErrorCode::kFailedPrecondition,
-                "snapshot: its nodes are in another order; take the backend and the number of threads (cpu_threads) "
-                "with which it was made");
-  }
   LoopState out;
   World::Saved& world = out.world;
   world.step_count = message.step();
-  const std::size_t reals = 4 * std::size_t{model.layout.row_count};
-  std::size_t histories = 0;
-  for (const model::ElementGroup& group : model.groups) histories += group.internal_variable_reals();
-  TM_ASSIGN_OR_RETURN(displacement, read_displacement(message.displacement(), model));
-  TM_ASSIGN_OR_RETURN(velocity, read_doubles(message.velocity(), reals, "velocity", limits::kMaxLength));
-  TM_ASSIGN_OR_RETURN(internal, read_doubles(message.internal_variables(), histories, "internal_variables"));
-  TM_ASSIGN_OR_RETURN(internal_dt_s, read_finite(message.internal_dt_s(), "internal_dt_s"));
-  world.rows = {std::move(displacement), std::move(velocity), std::move(internal), internal_dt_s};
-  TM_ASSIGN_OR_RETURN(history, read_history(message, present));
-  world.history = std::move(history);
+  TM_ASSIGN_OR_RETURN(tissue, read_tissue(message, model));
+  world.tissue = std::move(tissue);
   if (static_cast<std::size_t>(message.tools_size()) != model.tools.size()) {
     return invalid(
         fmt::format("snapshot.tools: {} tools, but this scene has {}", message.tools_size(), model.tools.size()));

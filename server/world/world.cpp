@@ -34,13 +34,13 @@ constexpr std::uint32_t kMostPartsForAHand = 2;
 
 }  // namespace
 
-Result<std::unique_ptr<World>> World::create(std::unique_ptr<const model::Model> model,
+Result<std::unique_ptr<World>> World::create(std::shared_ptr<const model::Model> model,
                                              const backend::Backend& backend) {
   TM_ASSIGN_OR_RETURN(state, backend.create(*model));
   return std::unique_ptr<World>(new World(std::move(model), std::move(state)));
 }
 
-World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state)
+World::World(std::shared_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state)
     : model_(std::move(model)),
       state_(std::move(state)),
       tools_(model_->tools.begin(), model_->tools.end()),
@@ -498,12 +498,11 @@ void World::reset() {
   if (model_->visible.count() > 0) state_->gather_visible();
 }
 
-World::Saved World::save() {
-  Saved out;
+World::Copied World::copy() {
+  Copied out;
   out.step_count = step_count_;
-  out.rows = state_->read();
-  out.history = state_->read_history();
-  if (starts_anew(contact_jumped_)) out.history.last_dt_s = 0;
+  out.tissue = {state_->read(), state_->read_history()};
+  if (starts_anew(contact_jumped_)) out.tissue.history.last_dt_s = 0;
   out.energy = energy_.entries();
   out.cg_limit = cg_limit_;
   out.held_steps = held_steps_;
@@ -517,10 +516,10 @@ World::Saved World::save() {
   return out;
 }
 
-void World::restore(const Saved& saved) {
-  TM_ASSERT(saved.tools.size() == tools_.size(), "a saved state is of an equal model");
-  state_->write(saved.rows);
-  state_->write_history(saved.history);
+void World::restore(const Copied& saved) {
+  TM_ASSERT(saved.tools.size() == tools_.size(), "a saved state is of the same scene");
+  state_->write(saved.tissue.rows);
+  state_->write_history(saved.tissue.history);
   read_broken();
   std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
   step_count_ = saved.step_count;

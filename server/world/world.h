@@ -11,6 +11,7 @@
 #include "model/model.h"
 #include "world/enclosure.h"
 #include "world/guard.h"
+#include "world/node_state.h"
 #include "world/tool.h"
 
 namespace tensormass::world {
@@ -40,10 +41,12 @@ namespace tensormass::world {
 ///     shape     pose of a tool's shape (tool.h)
 class World {
  public:
-  static Result<std::unique_ptr<World>> create(std::unique_ptr<const model::Model> model,
+  static Result<std::unique_ptr<World>> create(std::shared_ptr<const model::Model> model,
                                                const backend::Backend& backend);
 
   const model::Model& model() const { return *model_; }
+  /// For threads that need the model for longer than this world may live.
+  const std::shared_ptr<const model::Model>& shared_model() const { return model_; }
 
   /// Version of the v1::Topology that describes the visible surface; frames repeat it.
   std::uint64_t topology_version() const { return topology_version_; }
@@ -60,16 +63,14 @@ class World {
     readings_[tool].newest = stamp;
   }
 
-  /// Everything that the next step depends on, besides the inputs of that step.
-  struct Saved {
+  /// What the next step depends on, besides its inputs and the state of the tissue.
+  struct SavedBesideTissue {
     struct Tool {
       ToolMotion::Saved motion;
       PoseStamp newest;          ///< stamp of the newest pose, without its arrival
       backend::ToolForce force;  ///< at the end of the last step
     };
     std::uint64_t step_count = 0;
-    backend::RowState rows;
-    backend::StepHistory history;
     std::vector<Tool> tools;
     EnergyBalance::Entries energy;
     std::uint32_t projection_left = 0, projection_length = 0, projection_good = 0;  ///< see Projection
@@ -79,10 +80,27 @@ class World {
     double stuck_s = 0;            ///< grows with each step of a recovery, falls with each other one
     bool bodies_touch = false;     ///< bodies touched each other at the end of the last step
   };
+  /// Everything that the next step depends on, besides the inputs of that step.
+  struct Saved : SavedBesideTissue {
+    NodeState tissue;
+  };
+  /// The same in the order of this world's layout. The thread of the loop copies it, and others do the rest.
+  struct Copied : SavedBesideTissue {
+    LayoutState tissue;
+  };
+  static Saved by_node(const model::Model& model, const Copied& copied) {
+    return {copied, world::by_node(model, copied.tissue)};
+  }
+  static Copied in_layout(const model::Model& model, const Saved& saved) {
+    return {saved, world::in_layout(model, saved.tissue)};
+  }
   /// Copies the state. Allocates; for requests.
-  Saved save();
-  /// Goes on from a state that a world of an equal model saved.
-  void restore(const Saved& saved);
+  Copied copy();
+  Saved save() { return by_node(*model_, copy()); }
+  /// Goes on from a state of the same scene, whatever backend or number of threads it was saved on.
+  void restore(const Saved& saved) { restore(in_layout(*model_, saved)); }
+  /// Goes on from a state in the order of this world's layout.
+  void restore(const Copied& copied);
   /// Goes on from a state that a world of another material saved. Its elastic energy is another one, so the energy
   /// balance starts anew.
   void take_over(const Saved& saved);
@@ -131,7 +149,7 @@ class World {
   backend::RowState state() { return state_->read(); }
 
  private:
-  World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state);
+  World(std::shared_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state);
   void write_start();
   double diagnose_elastic_energy();
   void place_tools();
@@ -183,12 +201,12 @@ class World {
       good_ = 0;
     }
 
-    void save(Saved& to) const {
+    void save(SavedBesideTissue& to) const {
       to.projection_left = left_;
       to.projection_length = length_;
       to.projection_good = good_;
     }
-    void restore(const Saved& from) {
+    void restore(const SavedBesideTissue& from) {
       left_ = std::min(from.projection_left, kMost);
       length_ = std::clamp(from.projection_length, kLeast / 2, kMost);
       good_ = std::min(from.projection_good, kMost);
@@ -199,7 +217,7 @@ class World {
     std::uint32_t left_ = 0, length_ = kLeast / 2, good_ = 0;
   };
 
-  std::unique_ptr<const model::Model> model_;
+  std::shared_ptr<const model::Model> model_;
   std::unique_ptr<backend::SceneState> state_;
   std::vector<ToolMotion> tools_;
   std::vector<backend::ToolForce> published_;  // [tool], at the end of the last step

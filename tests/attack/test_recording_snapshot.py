@@ -39,7 +39,7 @@ def checksum_of(data: bytes) -> int:
 
 def sealed(state: recording_pb2.SnapshotState) -> bytes:
     content = state.SerializeToString()
-    return HEADER.pack(b"\x89TMSNAP\n", 1, 0, len(content), checksum_of(content)) + content
+    return HEADER.pack(b"\x89TMSNAP\n", 2, 0, len(content), checksum_of(content)) + content
 
 
 def numbers(name: str, value: float) -> Callable[[recording_pb2.SnapshotState], None]:

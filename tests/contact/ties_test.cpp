@@ -282,7 +282,7 @@ TEST_P(Bodies, LetGoOfANodeThatCameFromWithin) {
         const Vec3<double> rest(m.rest[4 * row], m.rest[4 * row + 1], m.rest[4 * row + 2]);
         if ((rest - Vec3<double>(0.05, kSizeM, 0.05)).norm() < 1e-6) pressed = row;
       }
-      saved.rows.displacement[4 * pressed + 1] = left_m - kSizeM;
+      saved.tissue.displacement[3 * m.layout.node_of_row[pressed] + 1] = left_m - kSizeM;
       world->take_over(saved);  // its energy counts from here
       std::uint32_t touching = 0;
       for (int i = 0; i < 300; ++i) {

@@ -97,6 +97,34 @@ TEST_F(NoMemory, ACallThatReadsLeavesItsSceneAsItWas) {
   EXPECT_EQ((*runner)->snapshot()->snapshot(), before->snapshot());
 }
 
+TEST_F(NoMemory, AnAdjustmentIsWholeOrNotThere) {
+  const auto runner = registry.load(scene("tiny"));
+  ASSERT_TRUE(runner);
+  ASSERT_TRUE((*runner)->step(3));
+  const std::string before = (*runner)->positions("beam")->positions();
+  double asked = 1;
+  const auto adjust = [&] {
+    asked += 0.001;  // each call changes something
+    v1::SceneAdjustments changes;
+    v1::BodyAdjustment& body = *changes.add_bodies();
+    body.set_body("beam");
+    body.set_stiffness_factor(asked);
+    (void)registry.adjust("tiny", changes);
+  };
+  double present = 1;
+  const long calls = fail_each(adjust, [&](bool failed) {
+    ASSERT_EQ((*runner)->status().state(), v1::SceneStatus::STATE_LOCKSTEP);
+    const auto values = (*runner)->adjust({});
+    ASSERT_TRUE(values);
+    const double factor = values->adjustments().bodies(0).stiffness_factor();
+    EXPECT_TRUE(factor == asked || (failed && factor == present)) << factor;
+    present = factor;
+    EXPECT_EQ((*runner)->positions("beam")->positions(), before);
+    EXPECT_TRUE((*runner)->restore((*runner)->snapshot()->snapshot())) << "state and values belong together";
+  });
+  EXPECT_GT(calls, 50);
+}
+
 TEST_F(NoMemory, AMessageIsNotParsed) {
   v1::LoadSceneRequest request;
   *request.mutable_scene() = scene("tiny");

@@ -22,10 +22,11 @@ enum class Fault {
   kIndefinite,   ///< conjugate gradients met negative curvature
   kDeviceError,  ///< the device throws
   kDeviceLost,   ///< the device throws, and no other call of this process will work
+  kWriteError,   ///< the device throws when a state is written; asked for with step 0
 };
 
 /// Returns the fault to inject into the `call`-th solve (from 0) that a world makes for its `step`-th step (from 1), or
-/// nullopt.
+/// nullopt. Step 0 stands for a write of a state.
 using FaultPlan = std::function<std::optional<Fault>(std::uint64_t step, std::uint64_t call)>;
 
 class FaultyState final : public backend::SceneState {
@@ -64,6 +65,8 @@ class FaultyState final : public backend::SceneState {
         throw std::runtime_error("injected");
       case Fault::kDeviceLost:
         throw std::runtime_error("a kernel: an illegal memory access was encountered");
+      case Fault::kWriteError:
+        break;
     }
     sound_->write(state);
     if (input.gather_visible) sound_->gather_visible();
@@ -76,7 +79,10 @@ class FaultyState final : public backend::SceneState {
   void read_broken(std::span<std::uint8_t> broken) override { sound_->read_broken(broken); }
   void diagnose(std::span<backend::GroupDiagnostics> groups) override { sound_->diagnose(groups); }
   backend::RowState read() override { return sound_->read(); }
-  void write(const backend::RowState& state) override { sound_->write(state); }
+  void write(const backend::RowState& state) override {
+    if (plan_(0, 0) == Fault::kWriteError) throw std::runtime_error("injected");
+    sound_->write(state);
+  }
   backend::StepHistory read_history() override { return sound_->read_history(); }
   void write_history(const backend::StepHistory& history) override { sound_->write_history(history); }
 

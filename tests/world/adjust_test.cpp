@@ -12,6 +12,7 @@
 #include "support/on_runner.h"
 #include "support/refused.h"
 #include "support/scenes.h"
+#include "world/loop.h"
 #include "world/runner.h"
 
 /// Gravity, stiffness and damping that change while a scene is loaded.
@@ -158,7 +159,7 @@ TEST_P(Adjusting, BadValuesChangeNothing) {
   ASSERT_TRUE(runner->step(1));
 }
 
-/// What a status counts, and the newest pose, are of the scene and not of its present loop.
+/// What a status counts, and the newest pose, are of the scene and not of its present values.
 TEST_P(Adjusting, CountsStepTimesAndTheNewestPoseStay) {
   v1::Scene scene = tests::block_with_probe(false, 4);
   scene.mutable_stepping()->set_lockstep(true);
@@ -182,6 +183,8 @@ TEST_P(Adjusting, CountsStepTimesAndTheNewestPoseStay) {
   EXPECT_EQ(after.poses_rejected(), before.poses_rejected());
   EXPECT_EQ(after.step_time_p99_s(), before.step_time_p99_s());
   EXPECT_GT(after.step_time_p50_s(), 0);
+  EXPECT_EQ(after.step_times().SerializeAsString(), before.step_times().SerializeAsString());
+  EXPECT_EQ(after.cg_iterations(), before.cg_iterations()) << "of the last step";
   EXPECT_GE(after.frames_published() + after.frames_replaced(), before.frames_published() + before.frames_replaced());
   ASSERT_TRUE(runner->step(200));
   EXPECT_NEAR(runner->feedback("probe")->position_m().x(), 0.04, 1e-9) << "a pose that no step had taken";
@@ -241,6 +244,105 @@ TEST_P(Adjusting, CommandsFromManyThreadsAllArrive) {
   ends = true;
   reader.join();
   EXPECT_EQ(runner->status().step(), kSteps);
+}
+
+/// What a keeper gets has the values of its state, whenever an adjustment comes.
+TEST_P(Adjusting, AStateIsKeptWithItsValues) {
+  const auto runner = load(sagging_beam(false));
+  std::atomic<bool> ends{false};
+  std::thread adjuster([&] {
+    for (int i = 0; i < 8; ++i) EXPECT_TRUE(runner->adjust(stiffness(2 + i)));
+    ends = true;
+  });
+  std::vector<KeptState> kept;
+  do {
+    auto state = runner->keep();
+    EXPECT_TRUE(state) << state.error().message;
+    if (!state) break;
+    const double factor = state->adjustments.bodies(0).stiffness_factor();
+    if (kept.empty() || kept.back().adjustments.bodies(0).stiffness_factor() != factor) kept.push_back(*state);
+  } while (!ends);
+  adjuster.join();
+  EXPECT_GT(kept.size(), 1u);
+  const auto other = load(sagging_beam());
+  for (const KeptState& state : kept) {
+    ASSERT_TRUE(other->adjust(state.adjustments));
+    const auto restored = other->restore(state.snapshot);
+    EXPECT_TRUE(restored) << restored.error().message;
+  }
+}
+
+/// A snapshot is of the values before an adjustment or of those after it, never of something in between.
+TEST_P(Adjusting, ARestoreMeetsTheValuesBeforeOrAfter) {
+  const auto runner = load(sagging_beam());
+  ASSERT_TRUE(runner->step(3));
+  const auto snapshot = runner->snapshot();
+  ASSERT_TRUE(snapshot);
+  std::atomic<bool> ends{false};
+  std::thread adjuster([&] {
+    for (int i = 0; i < 10; ++i) EXPECT_TRUE(runner->adjust(stiffness(i % 2 == 0 ? 2 : 1)));
+    ends = true;
+  });
+  while (!ends) {
+    const auto restored = runner->restore(snapshot->snapshot());
+    if (!restored) {
+      EXPECT_REFUSED(restored, ErrorCode::kFailedPrecondition, "or of other values");
+    }
+  }
+  adjuster.join();
+  EXPECT_TRUE(runner->restore(snapshot->snapshot())) << "the last adjustment brought the first values back";
+}
+
+/// A world that cannot take the state over is dropped, and the scene steps on with the one that it has.
+TEST_P(Adjusting, AWorldThatCannotTakeOverChangesNothing) {
+  auto world = start(sagging_beam());
+  const auto first = std::make_shared<const Generation>(Generation{0, world->shared_model(), 1, {}, false});
+  Loop loop(GetParam(), std::move(world), first);
+  const auto positions_now = [&] { return loop.call([&] { return loop.do_positions("beam"); }).value().positions(); };
+  ASSERT_TRUE(loop.call([&] { return loop.do_step(3); }));
+  const std::string before = positions_now();
+  const v1::SceneStatus status = loop.status().make();
+  const auto edit = std::make_shared<const Edit>(Adjust{stiffness(2)});
+
+  backend_ = std::make_unique<tests::FaultyBackend>(
+      std::move(backend_), [](std::uint64_t step, std::uint64_t) -> std::optional<tests::Fault> {
+        return step == 0 ? std::optional(tests::Fault::kWriteError) : std::nullopt;
+      });
+  auto broken = start(sagging_beam());
+  SetUp();  // the working backend again
+  const auto second = std::make_shared<const Generation>(Generation{1, broken->shared_model(), 2, {}, true});
+  EXPECT_REFUSED(loop.call([&] { return loop.do_swap(broken, second, edit); }), ErrorCode::kUnavailable,
+                 "injected; the scene is unchanged");
+  EXPECT_EQ(loop.generation(), first);
+  EXPECT_EQ(positions_now(), before);
+  EXPECT_EQ(loop.status().make().state(), status.state());
+  ASSERT_TRUE(loop.call([&] { return loop.do_step(1); }));
+
+  auto sound = start(sagging_beam());
+  const auto third = std::make_shared<const Generation>(Generation{1, sound->shared_model(), 2, {}, true});
+  const std::string later = positions_now();
+  ASSERT_TRUE(loop.call([&] { return loop.do_swap(sound, third, edit); }));
+  EXPECT_EQ(loop.generation(), third);
+  EXPECT_EQ(&sound->model(), first->model.get()) << "the caller ends the world before";
+  EXPECT_EQ(positions_now(), later);
+}
+
+/// Values that make the scene safe end a fault, as a reset does.
+TEST_P(Adjusting, AFaultEndsWithItsValues) {
+  v1::Scene scene = sagging_beam();
+  scene.mutable_guard()->set_max_move_m(1e-9);
+  scene.mutable_guard()->set_on_fault(v1::Guard::ON_FAULT_STOP);
+  const auto runner = load(scene);
+  EXPECT_FALSE(runner->step(3));
+  ASSERT_EQ(runner->status().state(), v1::SceneStatus::STATE_FAULTED);
+  v1::SceneAdjustments weightless;
+  weightless.mutable_gravity_m_per_s2()->set_y(0);
+  const auto adjusted = runner->adjust(weightless);
+  ASSERT_TRUE(adjusted) << adjusted.error().message;
+  EXPECT_EQ(adjusted->status().state(), v1::SceneStatus::STATE_LOCKSTEP);
+  EXPECT_EQ(adjusted->status().fault(), "");
+  const auto stepped = runner->step(3);
+  EXPECT_TRUE(stepped) << stepped.error().message;
 }
 
 TM_ON_EACH_BACKEND(Adjusting);

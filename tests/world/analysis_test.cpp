@@ -409,7 +409,7 @@ TEST_P(Analysis, LeavingTheLinearRangeGivesOneWarning) {
   ASSERT_TRUE(world->step(false));
   world->diagnose();
   const IterationBudget budget(world->model());
-  Findings findings(world->model(), budget);
+  Findings findings(world->shared_model(), budget);
   findings.take_diagnostics(*world);
   v1::SceneStatus status;
   findings.add_to(status);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstring>
 #include <random>
 #include <string>
 #include <variant>
@@ -208,6 +209,54 @@ TEST_P(Editing, AReplayAdjustsRestoresAndResetsAtTheSameSteps) {
   }
 }
 
+/// Another number of threads rounds sums in another order. Friction and contact go on from what the snapshot has of
+/// them.
+TEST_P(Editing, ARestoreIsRepeatedOnAnotherNumberOfThreads) {
+  v1::Scene wide = tests::block_with_probe(true, 14);  // enough nodes for two threads
+  wide.mutable_tools(0)->set_friction_coefficient(0.3);
+  wide.mutable_solver()->set_cpu_threads(2);
+  const auto runner = load(wide);
+  auto started = runner->record({.check_every_steps = 5, .reset = true});
+  ASSERT_TRUE(started);
+  const auto press = [&](int from, int to) {
+    for (int i = from; i < to; ++i) {
+      v1::ToolPose pose;
+      tests::set(*pose.mutable_position_m(), 0.05 + 2e-4 * i, 0.059 - 1e-4 * i, 0.05);
+      ASSERT_TRUE(runner->submit_pose("probe", pose));
+      ASSERT_TRUE(runner->step(1));
+    }
+  };
+  press(0, 20);
+  const auto snapshot = runner->snapshot();
+  ASSERT_TRUE(snapshot);
+  press(20, 30);
+  ASSERT_TRUE(runner->restore(snapshot->snapshot()));
+  press(20, 30);
+  Recorded recorded;
+  recorded.start = started->start;
+  recorded.take_from(*started->recording);
+  ASSERT_EQ(recorded.edits.size(), 1u);
+
+  wide.mutable_solver()->set_cpu_threads(1);
+  const auto other = load(wide);
+  const auto response = other->replay(request_of(recorded));
+  ASSERT_TRUE(response) << response.error().message;
+  const bool cpu = std::string(GetParam()) == "cpu";
+  EXPECT_EQ(response->layout_hash() == recorded.start.layout_hash(), !cpu);
+  ASSERT_EQ(response->checks_size(), 8);
+  for (int i = 0; i < response->checks_size(); ++i) {
+    const v1::StateCheck &here = response->checks(i), &there = recorded.checks[static_cast<std::size_t>(i)];
+    const std::string &a = here.sample_displacements(), &b = there.sample_displacements();
+    ASSERT_EQ(a.size(), b.size());
+    for (std::size_t at = 0; at < a.size(); at += sizeof(double)) {
+      double x, y;
+      std::memcpy(&x, a.data() + at, sizeof(x));
+      std::memcpy(&y, b.data() + at, sizeof(y));
+      ASSERT_NEAR(x, y, 1e-9 * there.largest_displacement_m()) << "check " << i;
+    }
+  }
+}
+
 /// A scene that runs by the clock goes on while an adjustment is compiled, and no step is missing from the recording.
 TEST_P(Editing, ARunningSceneIsRepeatedToo) {
   v1::Scene running = scene(false, false);
@@ -322,7 +371,7 @@ TEST_P(Editing, ACancelledSceneStaysCancelledWhenItIsAdjusted) {
   EXPECT_REFUSED(second->step(1), ErrorCode::kUnavailable, "0 of 1 steps were done");
 }
 
-/// Poses that clients send while a scene is adjusted reach it, by the inboxes that both loops share.
+/// Poses that clients send while a scene is adjusted reach it.
 TEST_P(Editing, CountsOfPosesGoOn) {
   const auto runner = load(scene(false));
   runner->count_malformed_pose();

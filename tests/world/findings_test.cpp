@@ -38,7 +38,7 @@ class FindingsOf : public tests::OnBackend {
     end.set_z_m(turn);
     const auto world = start(scene);
     const IterationBudget budget(world->model());
-    Findings findings(world->model(), budget);
+    Findings findings(world->shared_model(), budget);
     EXPECT_TRUE(world->step(false));
     world->diagnose();
     findings.take_step(*world);
@@ -79,7 +79,7 @@ TEST_P(FindingsOf, SolvesThatEndAboveTheirToleranceAreAFindingWhileTheyDo) {
     const auto world = start(
         tests::beam_scene({.cells_x = 6, .cells_y = 2, .cells_z = 2, .cg_max_iterations = most, .cg_tolerance = 1e-4}));
     const IterationBudget budget(world->model());
-    Findings findings(world->model(), budget);
+    Findings findings(world->shared_model(), budget);
     EXPECT_TRUE(world->step(false));
     findings.take_step(*world);
     v1::SceneStatus status;
@@ -93,7 +93,7 @@ TEST_P(FindingsOf, HalfOfTheSolvesMayEndAboveTheirTolerance) {
   const auto world = start(
       tests::beam_scene({.cells_x = 6, .cells_y = 2, .cells_z = 2, .cg_max_iterations = 1000, .cg_tolerance = 1e-4}));
   const IterationBudget budget(world->model());
-  Findings findings(world->model(), budget);
+  Findings findings(world->shared_model(), budget);
   const auto found = [&](std::uint32_t limit) {
     world->set_cg_limit(limit);
     EXPECT_TRUE(world->step(false));
@@ -118,7 +118,7 @@ TEST_P(FindingsOf, AcceptedByTheSceneAreMarkedAndGiveNoWarning) {
   accepted.set_reason("a test");
   const auto world = start(scene);
   const IterationBudget budget(world->model());
-  Findings findings(world->model(), budget);
+  Findings findings(world->shared_model(), budget);
   EXPECT_TRUE(world->step(false));
   findings.take_step(*world);
   v1::SceneStatus status;
@@ -137,7 +137,7 @@ TEST_P(FindingsOf, StepsThatAreAlwaysRepeatedGiveAWarning) {
   for (const std::uint32_t limit : {1u, 1000u}) {
     const auto world = start(scene);
     const IterationBudget budget(world->model());
-    Findings findings(world->model(), budget);
+    Findings findings(world->shared_model(), budget);
     world->set_cg_limit(limit);
     for (int i = 0; i < 64; ++i) {
       ASSERT_TRUE(world->step(false));

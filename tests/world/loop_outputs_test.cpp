@@ -84,19 +84,21 @@ TEST_P(Outputs, AFrameHasTheRevisionOfItsStep) {
 }
 
 TEST_P(Outputs, GoOnWithChangesAndEvents) {
-  const auto world = start(tests::block_with_probe());
-  LoopOutputs before(*world), after(*world);
-  before.set_changes(burnt(*world, 4));
-  before.add_event({.kind = EventKind::kSevered, .value = 3});
-  after.go_on_from(before);
-  after.add_event({.kind = EventKind::kAdjusted});
+  const auto world = start(tests::block_with_probe()), next = start(tests::block_with_probe());
+  LoopOutputs outputs(*world);
+  outputs.set_changes(burnt(*world, 4));
+  outputs.add_event({.kind = EventKind::kSevered, .value = 3});
+  outputs.go_on_with(*next);
+  outputs.take_step(Clock::now());
+  outputs.add_event({.kind = EventKind::kAdjusted});
   v1::SceneEvents events;
-  ASSERT_TRUE(after.take_events(events));
+  ASSERT_TRUE(outputs.take_events(events));
   ASSERT_EQ(events.events_size(), 2);
   EXPECT_EQ(events.events(1).sequence(), 2u);
   v1::SurfaceChanges changes;
-  ASSERT_TRUE(after.take_changes(changes));
+  ASSERT_TRUE(outputs.take_changes(changes));
   EXPECT_EQ(changes.revision(), 4u);
+  EXPECT_EQ(outputs.stamp().revision, 4u);
 }
 
 TEST_P(Outputs, KeepTheLast64Events) {

@@ -129,7 +129,7 @@ TEST_P(Counting, TheAgeOfPosesThatAClientStreams) {
   EXPECT_GT(counts->pose_ages.sum_ns(), 0);
 }
 
-/// An adjusted scene steps in another loop.
+/// An adjusted scene steps in another world.
 TEST_P(Counting, GoesOnAfterAnAdjustment) {
   const auto runner = load(running_block());
   ASSERT_TRUE(eventually([&] { return runner->status().step() > 3; }));

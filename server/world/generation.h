@@ -1,0 +1,21 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+
+#include "model/model.h"
+#include "tensormass/v1/adjustment.pb.h"
+
+namespace tensormass::world {
+
+/// A scene between two adjustments. Constant, so a thread that has it knows of which values a state is.
+struct Generation {
+  std::uint64_t number = 0;  ///< counts the adjustments
+  std::shared_ptr<const model::Model> model;
+  std::uint64_t scene_hash = 0;
+  v1::SceneAdjustments adjustments;
+  bool is_adjusted = false;  ///< its values are not those of the load
+};
+using GenerationPointer = std::shared_ptr<const Generation>;
+
+}  // namespace tensormass::world
