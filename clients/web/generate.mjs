@@ -15,6 +15,7 @@ try {
       `--es_out=${out}`,
       "--es_opt=target=ts,import_extension=none",
       "tensormass/v1/adjustment.proto",
+      "tensormass/v1/edit.proto",
       "tensormass/v1/finding.proto",
       "tensormass/v1/guard.proto",
       "tensormass/v1/scene.proto",

@@ -11,6 +11,7 @@
 
 #include "core/assert.h"
 #include "core/finding_kinds.h"
+#include "model/edit_tables.h"
 #include "physics/lists.h"
 #include "step/finding_message.h"
 
@@ -316,7 +317,9 @@ void Findings::add(Finding finding, v1::SceneStatus& status) const {
 }
 
 const std::string& Findings::body_of_group(std::size_t group) const {
-  const std::uint32_t element = model_.groups[group].elements.front();
+  // Edits take elements out of groups, on another thread.
+  const std::uint32_t element =
+      (model_.edit_tables ? model_.edit_tables->groups[group].elements : model_.groups[group].elements).front();
   const auto holds = [&](const model::BodyModel& body) { return element - body.element_begin < body.element_count; };
   const auto body = std::find_if(model_.bodies.begin(), model_.bodies.end(), holds);
   TM_ASSERT(body != model_.bodies.end(), "an element group is part of a body");

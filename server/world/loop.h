@@ -60,6 +60,7 @@ class Loop {
     backend::RowState state;
     std::uint64_t step;
     double simulated_time_s;
+    std::shared_ptr<const model::Model> model;  ///< as it is now, in a scene with editing; else nullptr
   };
 
   /// How a loop begins, if it goes on where another one ended.
@@ -125,6 +126,7 @@ class Loop {
   Result<v1::SceneStatus> do_step(std::uint32_t count);
   /// edit: the same, for a recording; made by the caller, because without memory nothing may be half done
   Result<v1::SceneStatus> do_reset(EditPointer edit);
+  Result<v1::SceneStatus> do_edit(const v1::SceneEdit& change, EditPointer edit);
   Result<v1::Frame> do_frame();
   Result<v1::GetPositionsResponse> do_positions(std::string_view body);
   Result<FieldSource> do_copy_state();

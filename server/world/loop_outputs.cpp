@@ -14,7 +14,7 @@ LoopOutputs::LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_publis
       model_(world.model()),
       tools_(model_.tools.size()),
       frames_(FrameSlot{{},
-                        std::vector<float>(3 * std::size_t{model_.visible.count()}),
+                        std::vector<float>(world.visible_positions().size()),
                         tools_,
                         std::vector<std::uint8_t>(world.broken_springs().size())}),
       feedback_(FeedbackSlot{{}, tools_}),

@@ -114,6 +114,9 @@ Result<void> Loop::do_go_on(std::shared_ptr<Recording> recording) {
 }
 
 Result<v1::SceneStatus> Loop::do_restore(const LoopState& state, EditPointer edit) {
+  if (const auto fits = world_->check_shares(state.world); !fits) {
+    return fail(fits.error().code, "snapshot.ablated_elements: " + fits.error().message);
+  }
   budget_.clear();
   world_->restore(state.world);
   next_diagnostics_ = state.next_diagnostics;

@@ -135,8 +135,9 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
 
 void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<const float> positions,
                 std::span<const ToolReading> tools, std::span<const std::uint8_t> broken_springs, v1::Frame& out) {
-  TM_ASSERT(positions.size() == 3 * std::size_t{model.visible.count()}, "positions of all visible points");
-  const std::size_t vertices = 3 * std::size_t{model.visible.vertex_count};
+  const std::size_t points = 3 * std::size_t{model.visible.count()},
+                    vertices = 3 * std::size_t{model.visible.vertex_count};
+  TM_ASSERT(positions.size() >= points, "positions of all visible points");
   out.set_topology_version(stamp.topology_version);
   out.set_step(stamp.step);
   out.set_simulated_time_s(stamp.simulated_time_s);
@@ -144,7 +145,7 @@ void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<con
   out.set_positions(packed(positions.first(vertices)));
   out.clear_tools();
   for (std::size_t i = 0; i < tools.size(); ++i) fill_feedback(model, stamp, i, tools[i], *out.add_tools());
-  out.set_attachment_points(packed(positions.subspan(vertices)));
+  out.set_attachment_points(packed(positions.subspan(vertices, points - vertices)));
   const bool any =
       std::any_of(broken_springs.begin(), broken_springs.end(), [](std::uint8_t bits) { return bits != 0; });
   out.set_broken_springs(any ? packed(broken_springs) : std::string());

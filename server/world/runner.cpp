@@ -99,6 +99,7 @@ struct Runner::Impl {
   Result<v1::SceneStatus> apply(const Adjust& adjust, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const Restore& restore, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const Reset& reset, const EditPointer& edit);
+  Result<v1::SceneStatus> apply(const ChangeScene& change, const EditPointer& edit);
   Result<void> replace_loop(v1::SceneAdjustments wanted);
   /// Values of the scene if it was adjusted, else nullptr. Needs `commands`.
   const v1::SceneAdjustments* adjusted_values() const {
@@ -166,6 +167,9 @@ Result<v1::SceneStatus> Runner::step(std::uint32_t count) {
   }
   return impl_->call([count](Loop& loop) { return loop.do_step(count); });
 }
+Result<v1::SceneStatus> Runner::edit(const v1::SceneEdit& change) {
+  return impl_->apply(std::make_shared<const Edit>(ChangeScene{change}));
+}
 Result<v1::SceneStatus> Runner::reset() { return impl_->apply(std::make_shared<const Edit>(Reset{})); }
 v1::SceneStatus Runner::status() const { return impl_->loop()->status().make(); }
 SceneMetrics Runner::metrics() const {
@@ -193,7 +197,8 @@ Result<v1::GetFieldsResponse> Runner::fields(const v1::GetFieldsRequest& request
   const std::shared_ptr<Loop> loop = impl_->loop();
   TM_ASSIGN_OR_RETURN(body, loop->find_body(request.body()));
   TM_ASSIGN_OR_RETURN(source, loop->read([&] { return loop->do_copy_state(); }));
-  TM_ASSIGN_OR_RETURN(response, measure_fields(loop->model(), source.state, source.simulated_time_s, *body, request));
+  TM_ASSIGN_OR_RETURN(response, measure_fields(source.model ? *source.model : loop->model(), source.state,
+                                               source.simulated_time_s, *body, request));
   response.set_step(source.step);
   response.set_simulated_time_s(source.simulated_time_s);
   return std::move(response);
@@ -333,6 +338,10 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Restore& restore, const EditPo
 
 Result<v1::SceneStatus> Runner::Impl::apply(const Reset&, const EditPointer& edit) {
   return call([&edit](Loop& loop) { return loop.do_reset(edit); });
+}
+
+Result<v1::SceneStatus> Runner::Impl::apply(const ChangeScene& change, const EditPointer& edit) {
+  return call([&](Loop& loop) { return loop.do_edit(change.edit, edit); });
 }
 
 /// Compiles the adjusted scene while the present loop steps. Then takes the present loop's state, and puts a loop that

@@ -15,6 +15,7 @@
 #include "world/guard.h"
 #include "world/hashes.h"
 #include "world/recording.h"
+#include "world/scene_edit.h"
 
 namespace tensormass::world {
 
@@ -295,6 +296,7 @@ std::string write_snapshot(const model::Model& model, std::uint64_t scene_hash, 
   message.set_stuck_s(world.stuck_s);
   message.set_bodies_touch(world.bodies_touch);
   message.set_next_diagnostics(state.next_diagnostics);
+  write_shares(world.shares, message);
   return seal_snapshot(message.SerializeAsString());
 }
 
@@ -357,6 +359,8 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
   world.stuck_s = stuck;
   world.bodies_touch = message.bodies_touch();
   out.next_diagnostics = message.next_diagnostics();
+  TM_ASSIGN_OR_RETURN(shares, read_shares(model, message));
+  world.shares = std::move(shares);
   return out;
 }
 

@@ -34,13 +34,12 @@ constexpr std::uint32_t kMostPartsForAHand = 2;
 
 }  // namespace
 
-Result<std::unique_ptr<World>> World::create(std::unique_ptr<const model::Model> model,
-                                             const backend::Backend& backend) {
+Result<std::unique_ptr<World>> World::create(std::unique_ptr<model::Model> model, const backend::Backend& backend) {
   TM_ASSIGN_OR_RETURN(state, backend.create(*model));
   return std::unique_ptr<World>(new World(std::move(model), std::move(state)));
 }
 
-World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state)
+World::World(std::unique_ptr<model::Model> model, std::unique_ptr<backend::SceneState> state)
     : model_(std::move(model)),
       state_(std::move(state)),
       tools_(model_->tools.begin(), model_->tools.end()),
@@ -57,6 +56,8 @@ World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend:
       cg_limit_(model_->cg_max_iterations),
       broken_(model_->ties.spring_count()),
       broken_bits_((broken_.size() + 7) / 8) {
+  if (model_->edit_tables != nullptr) editor_.emplace(*model_);
+  severed_.severed.reserve(broken_.size());
   if (!model_->initial_displacement.empty() || !model_->initial_velocity.empty()) write_start();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
@@ -485,6 +486,10 @@ double World::diagnose_elastic_energy() {
 void World::diagnose() { energy_.take_elastic(diagnose_elastic_energy()); }
 
 void World::reset() {
+  if (editor_) {
+    editor_->heal(*model_, [&](const model::ModelEdit& edit) { state_->apply(edit); });
+    enclosure_.take(*model_, editor_->surfaces());
+  }
   write_start();
   std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
   step_count_ = 0;
@@ -511,6 +516,7 @@ World::Saved World::save() {
   out.stuck_s = stuck_s_;
   out.bodies_touch = bodies_touch_ && model_->extrapolates();  // other schemes do not ask
   projection_.save(out);
+  if (editor_) out.shares = editor_->shares();
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     out.tools.push_back({tools_[i].save(), readings_[i].newest, published_[i]});
   }
@@ -519,6 +525,10 @@ World::Saved World::save() {
 
 void World::restore(const Saved& saved) {
   TM_ASSERT(saved.tools.size() == tools_.size(), "a saved state is of an equal model");
+  if (editor_) {
+    editor_->take(*model_, saved.shares, [&](const model::ModelEdit& edit) { state_->apply(edit); });
+    enclosure_.take(*model_, editor_->surfaces());
+  }
   state_->write(saved.rows);
   state_->write_history(saved.history);
   read_broken();

@@ -1,0 +1,34 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "mesh/mesh.h"
+
+namespace tensormass::world {
+
+/// What became of a body's visible surface since its Topology. Append-only but for a new Topology. changes.proto is the
+/// same on the wire.
+struct BodyChanges {
+  /// Ascending; numbered in the body: those of the topology, then appended ones.
+  std::vector<std::uint32_t> dead_triangles;
+  /// Place of each in Frame.positions; at least the topology's vertex count of the whole scene.
+  std::vector<std::uint32_t> appended_vertices;
+  /// Vertices numbered in the body: those of its topology, then appended_vertices.
+  std::vector<mesh::Triangle> appended_triangles;
+  /// [appended triangle] v1::BodyChanges::Face: 0 outer surface, 1 cut face, 2 burnt face
+  std::vector<std::uint8_t> appended_kinds;
+};
+
+struct SurfaceChanges {
+  /// 0: as in the topology. Grows by one with each edit that changes the surface, also with a reset. Never falls.
+  std::uint32_t revision = 0;
+  std::uint32_t appended_vertex_count = 0;  ///< of all bodies
+  std::vector<BodyChanges> bodies;          ///< [body of the topology]; empty: all are as in the topology
+};
+
+/// Shared with the threads that send them, so nobody may change them any more.
+using SurfaceChangesPointer = std::shared_ptr<const SurfaceChanges>;
+
+}  // namespace tensormass::world
