@@ -16,6 +16,7 @@ try {
       "--es_opt=target=ts,import_extension=none",
       "tensormass/v1/adjustment.proto",
       "tensormass/v1/changes.proto",
+      "tensormass/v1/edit.proto",
       "tensormass/v1/event.proto",
       "tensormass/v1/finding.proto",
       "tensormass/v1/guard.proto",

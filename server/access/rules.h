@@ -61,6 +61,7 @@ inline constexpr auto kCalls = [] {
       {"tensormass.v1.Control/ReplayScene",           {ALL,     NO,    NO,    NO,      NO}},
       {"tensormass.v1.Control/RestoreScene",          {ALL,     NO,    NO,    NO,      NO}},
       {"tensormass.v1.Control/AdjustScene",           {ALL,     NO,    NO,    NO,      NO}},
+      {"tensormass.v1.Control/EditScene",             {ALL,     NO,    NO,    NO,      NO}},
   });
 }();
 

@@ -2,16 +2,19 @@
 
 #include <array>
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <exception>
 #include <memory>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "core/result.h"
 #include "core/scalar.h"
 #include "model/compile.h"
+#include "model/edit.h"
 #include "model/model.h"
 #include "solver/step_result.h"
 #include "step/plan.h"
@@ -97,6 +100,12 @@ struct StepHistory {
   double largest_force_squared = 0;           ///< see solver::newton_step
 };
 
+/// A buffer that steps only read.
+struct ConstantBuffer {
+  std::string_view name;
+  std::vector<std::byte> bytes;
+};
+
 /// Thrown by a step that `SceneState::stop` ended. The state is then that of no step.
 class StepStopped final : public std::exception {
  public:
@@ -124,6 +133,11 @@ class SceneState {
   virtual std::span<const float> visible_positions() = 0;
   /// Gathers the visible positions without a step.
   virtual void gather_visible() = 0;
+  /// Takes over an edit of the model that this state was created from (model/edit.h): copies what the edit lists, stops
+  /// rows that lost their material and breaks springs. Needs no memory, and costs as much as the edit touched.
+  virtual void apply(const model::ModelEdit& edit) = 0;
+  /// Copies all buffers that steps only read, in the order of their allocation; slow, for tests.
+  virtual std::vector<ConstantBuffer> read_constants() = 0;
   /// Copies which springs of attachments are broken, as view::TiesView::broken. broken: [spring_count] 1: the spring is
   /// broken; written.
   virtual void read_broken(std::span<std::uint8_t> broken) = 0;

@@ -52,7 +52,8 @@ class LoadFactors {
   ///   external, faces   host memory of [row_count, 4] and [PressureSurface::faces]
   template <class Real>
   bool write(const model::Model& m, const StepInput& input, Real* external, view::PressureFace<Real>* faces) {
-    bool changed = input.load_factor != load_factor_;
+    bool changed = stale_ || input.load_factor != load_factor_;
+    stale_ = false;
     load_factor_ = input.load_factor;
     for (std::size_t i = 0; i < factors_.size(); ++i) {
       const double now = m.scheduled.schedules[i].at(input.loads_time_s);
@@ -66,7 +67,11 @@ class LoadFactors {
     return true;
   }
 
+  /// Call after an edit of gravity or pressure: the next step writes them again, if they change with time.
+  void forget(const model::Model& m) { stale_ = loads_change(m); }
+
  private:
+  bool stale_ = false;
   double load_factor_ = 1;
   std::vector<double> factors_;  // [schedule] of the last step
 };

@@ -269,7 +269,7 @@ TM_HOST_DEVICE void measure_balance(Team& team, const view::PatchesView& patches
       if (balance.row_body[row] == body) add_row(state, balance, center, row, own);
     });
     if (contact.tool_count > 0) {
-      team.for_each(contact.patch_triangles[patch.index], contact.patch_triangles[patch.index + 1],
+      team.for_each(contact.patch_triangles[patch.index], contact.triangles_end[patch.index],
                     [&](std::uint32_t triangle) {
                       if (balance.row_body[contact.triangle_rows[std::size_t{3} * triangle]] != body) return;
                       for (std::uint32_t t = 0; t < contact.tool_count; ++t) {

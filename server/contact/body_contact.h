@@ -114,7 +114,7 @@ template <class Real>
 TM_HOST_DEVICE Vec3<Real> vertex_normal(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                                         std::uint32_t vertex) {
   Vec3<Real> sum = Vec3<Real>::Zero();
-  for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
+  for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_end[vertex]; ++i) {
     sum += corners_of(state, contact, contact.incidence[4 * i]).normal();
   }
   return sum;
@@ -131,7 +131,7 @@ TM_HOST_DEVICE Vec3<Real> smooth_normal(const view::StateView<Real>& state, cons
   for (std::size_t corner = 0; corner < 3; ++corner) {
     const std::uint32_t vertex = contact.vertex_of_corner[std::size_t{3} * triangle + corner];
     Vec3<Real> around = Vec3<Real>::Zero();
-    for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
+    for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_end[vertex]; ++i) {
       const Vec3<Real> area = corners_of(state, contact, contact.incidence[4 * i]).normal();
       if (unit<Real>(area).dot(own) > Real(kSmoothCosine)) around += area;
     }

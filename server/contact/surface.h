@@ -50,7 +50,7 @@ TM_HOST_DEVICE Vec3<Real> pseudonormal(const view::StateView<Real>& state, const
   const int corner = static_cast<int>(feature) - static_cast<int>(TriangleFeature::kVertex0);
   const std::uint32_t vertex = contact.vertex_of_corner[std::size_t{3} * triangle + corner];
   Vec3<Real> sum = Vec3<Real>::Zero();
-  for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
+  for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_end[vertex]; ++i) {
     const Corners<Real> around = corners_of(state, contact, contact.incidence[4 * i]);
     const std::uint32_t c = contact.incidence[4 * i + 1];
     const Vec3<Real> to_next = unit<Real>(around.x[(c + 1) % 3] - around.x[c]);

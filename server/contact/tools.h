@@ -62,7 +62,7 @@ TM_HOST_DEVICE void query_core_point(Team& team, const view::PatchesView& patche
   };
   Real best = Real(1e30);
   std::uint32_t best_triangle = view::kNoTriangle;
-  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1],
+  team.for_each(contact.patch_triangles[team.patch()], contact.triangles_end[team.patch()],
                 [&](std::uint32_t triangle) {
                   const Vec3<Real> offset = offset_from(triangle).vector;
                   const Real squared = offset.dot(offset);
@@ -91,7 +91,7 @@ TM_HOST_DEVICE void query_crossings(Team& team, const view::PatchesView& patches
                                     const Vec3<Real>& to, std::uint32_t place) {
   constexpr Real kSlack = Real(1e-4);
   Real first = 2, last = -1;
-  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1],
+  team.for_each(contact.patch_triangles[team.patch()], contact.triangles_end[team.patch()],
                 [&](std::uint32_t triangle) {
                   const Corners<Real> corners = corners_of(state, contact, triangle);
                   const auto crossing =
@@ -378,7 +378,7 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     const Vec3<Real> tool_motion = physics::motion_with_joints<Kind, Real>(tool, x - touch.normal * touch.lever_m, x);
     contact.frictions[place] = predict_friction(at, tool, tool_motion, pressure, contact.slips + 4 * place);
   };
-  const std::uint32_t begin = contact.patch_triangles[team.patch()], end = contact.patch_triangles[team.patch() + 1];
+  const std::uint32_t begin = contact.patch_triangles[team.patch()], end = contact.triangles_end[team.patch()];
   if constexpr (Kind::kIsSolid) {
     team.for_each(begin, end, [&](std::uint32_t triangle) {
       const Corners<Real> corners = corners_of(state, contact, triangle);
@@ -478,12 +478,12 @@ template <class Team, class Real>
 TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                              const view::MatrixView<Real>& matrix, const view::ContactView<Real>& contact) {
   const view::Patch patch = view::patch_of(patches, team.patch());
-  team.for_each(contact.patch_surface[patch.index], contact.patch_surface[patch.index + 1], [&](std::uint32_t vertex) {
+  team.for_each(contact.patch_surface[patch.index], contact.surface_end[patch.index], [&](std::uint32_t vertex) {
     const std::uint32_t row = contact.surface_rows[vertex];
     for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
       const physics::PlacedTool<Real>& tool = contact.tools[t];
       const std::uint32_t points = tool.contact_points;
-      for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
+      for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_end[vertex]; ++i) {
         const std::uint32_t* incidence = contact.incidence + std::size_t{4} * i;
         for (std::uint32_t point = 0; point < points; ++point) {
           const std::size_t place = contact_place(contact, tool, point, incidence[0]);
@@ -562,7 +562,7 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
     }
     if (remembers) end_contact(at, contact, tool, stretch, maximum(pressure, Real(0)), place);
   };
-  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1],
+  team.for_each(contact.patch_triangles[team.patch()], contact.triangles_end[team.patch()],
                 [&](std::uint32_t triangle) {
                   for (std::uint32_t i = 0; i < Kind::kContactPoints; ++i) add(triangle, i);
                 });

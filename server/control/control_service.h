@@ -53,6 +53,7 @@ class ControlService final : public v1::Control::Service {
   grpc::Status SnapshotScene(grpc::ServerContext*, const v1::SnapshotSceneRequest*,
                              v1::SnapshotSceneResponse*) override;
   grpc::Status RestoreScene(grpc::ServerContext*, const v1::RestoreSceneRequest*, v1::RestoreSceneResponse*) override;
+  grpc::Status EditScene(grpc::ServerContext*, const v1::EditSceneRequest*, v1::EditSceneResponse*) override;
   grpc::Status AdjustScene(grpc::ServerContext*, const v1::AdjustSceneRequest*, v1::AdjustSceneResponse*) override;
   grpc::Status GetMetrics(grpc::ServerContext*, const v1::GetMetricsRequest*, v1::GetMetricsResponse*) override;
 

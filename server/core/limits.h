@@ -11,6 +11,10 @@ namespace tensormass::limits {
 inline constexpr std::size_t kMaxScenes = 256;
 /// Bodies of one scene; a scene with more is refused.
 inline constexpr std::size_t kMaxBodies = 64;
+/// Triangles, or vertices, by which a scene may let its surface grow; a scene with more is refused.
+inline constexpr std::uint32_t kMaxNewSurface = 10'000'000;
+/// Elements in one edit of a scene; an edit of more is refused. Each takes some microseconds between two steps.
+inline constexpr std::size_t kMaxElementsOfEdit = 1024;
 /// Tools of one scene; a scene with more is refused.
 inline constexpr std::size_t kMaxTools = 16;
 /// Joints of a tool, numbers that describe its shape, and points of its core; a kind with more does not compile.

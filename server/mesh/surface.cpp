@@ -74,6 +74,14 @@ std::vector<BoundaryFace> boundary_faces(const Mesh& mesh) {
   return faces;
 }
 
+std::vector<Triangle> face_triangles(const FaceNodes& nodes) {
+  std::vector<Triangle> triangles;
+  for_each_triangle({kNone, kNone, nodes}, [&](std::uint32_t i, std::uint32_t j, std::uint32_t k) {
+    triangles.push_back({nodes[i], nodes[j], nodes[k]});
+  });
+  return triangles;
+}
+
 Surface boundary(const Mesh& mesh) {
   Surface surface;
   for (const BoundaryFace& face : boundary_faces(mesh)) {

@@ -33,6 +33,9 @@ struct Surface {
   Rows vertex_triangles;  ///< [vertex_count] triangles of each vertex, ascending
 };
 
+/// Returns the triangles of a face, in the order of its nodes. Numbers: mesh nodes, outward winding.
+std::vector<Triangle> face_triangles(const FaceNodes& nodes);
+
 /// Returns the boundary as triangles, in the order of `boundary_faces`.
 Surface boundary(const Mesh& mesh);
 

@@ -7,6 +7,7 @@
 
 #include "core/assert.h"
 #include "core/parallel.h"
+#include "model/edit_buffers.h"
 #include "model/model.h"
 #include "physics/lists.h"
 
@@ -24,7 +25,7 @@
 ///
 ///   T* constant<T>(name, const std::vector<U>& items)   returns a copy, converted to T by static_cast
 ///   T* zeros<T>(name, count)                            returns `count` zeros
-///   const T* generated<T>(name, count, fill)            returns zeros over which fill(T*) has written once
+///   T* generated<T>(name, count, fill)                  returns zeros over which fill(T*) has written once
 ///
 /// Stages only read what is constant: their views have const pointers to it.
 ///
@@ -64,6 +65,7 @@ template <class Real>
 struct BoundScene {
   view::SceneView<Real> view;
   HostInputs<Real> inputs;
+  SceneBuffers buffers;
 };
 
 template <class Real, class Arena>
@@ -136,19 +138,19 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.matrix.boundary = arena.template constant<uint32_t>("boundary rows", layout.boundary);
   s.solve.own_product = arena.template zeros<Real>("own product", only_if(edges, 4 * rows));
 
-  s.matrix.constant_edges = arena.template constant<Real>("constant edge tensors", m.constant_edges);
+  s.matrix.constant_edges = place_buffer<EditBuffer::kConstantEdges, Real>(m, arena, bound.buffers);
 
   s.matrix.begun_slices = arena.template constant<std::uint8_t>("begun rows", m.begun_slices);
 
   s.state.displacement = arena.template zeros<Real>("displacement", 4 * rows);
   s.state.velocity = arena.template zeros<Real>("velocity", 4 * rows);
-  s.state.rest = arena.template constant<Real>("rest positions", m.rest);
+  s.state.rest = place_buffer<EditBuffer::kRest, Real>(m, arena, bound.buffers);
   s.guard.relative_position =
       arena.template zeros<Real>("relative positions", only_if(edges && m.checks_volume(), 4 * rows));
-  s.state.inertia = arena.template constant<Real>("inertia", m.inertia);
-  inputs.external = arena.template constant<Real>("external forces", m.external);
+  s.state.inertia = place_buffer<EditBuffer::kInertia, Real>(m, arena, bound.buffers);
+  inputs.external = place_buffer<EditBuffer::kExternal, Real>(m, arena, bound.buffers);
   s.state.external = inputs.external;
-  s.matrix.mass_edges = arena.template constant<Real>("consistent mass", m.mass_edges);
+  s.matrix.mass_edges = place_buffer<EditBuffer::kMassEdges, Real>(m, arena, bound.buffers);
 
   const bool two_steps = m.integrator == Integrator::kBdf2;
   s.state.base_displacement = arena.template zeros<Real>("base displacement", only_if(!m.is_plain(), 4 * rows));
@@ -172,7 +174,7 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
       arena.template constant<uint32_t>("prescribed rows of patches", m.prescribed_rows.patch_begin);
   s.prescribed.rows = arena.template constant<uint32_t>("prescribed rows", m.prescribed_rows.rows);
 
-  inputs.faces = arena.template constant<view::PressureFace<Real>>("pressure faces", m.pressure.faces);
+  inputs.faces = place_buffer<EditBuffer::kPressures, Real>(m, arena, bound.buffers);
   s.pressure.faces = inputs.faces;
   s.pressure.patch_begin = arena.template constant<uint32_t>("pressed rows of patches", m.pressure.patch_begin);
   s.pressure.rows = arena.template constant<uint32_t>("pressed rows", m.pressure.rows);
@@ -181,7 +183,7 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.pressure.slots = arena.template constant<uint32_t>("pressed corner slots", m.pressure.slots);
 
   s.guard.patch_tetrahedra = arena.template constant<uint32_t>("checked tetrahedra of patches", m.checked.begin);
-  s.guard.tetrahedron_rows = arena.template constant<std::uint16_t>("checked tetrahedra", m.checked.rows);
+  s.guard.tetrahedron_rows = place_buffer<EditBuffer::kCheckedTetrahedra, Real>(m, arena, bound.buffers);
 
   s.matrix.edges = arena.template zeros<Real>("matrix", 9 * std::size_t{layout.slot_count()});
   s.matrix.diagonal = arena.template zeros<Real>("matrix diagonal", 8 * rows);
@@ -192,18 +194,27 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.solve.direction = arena.template zeros<Real>("direction", only_if(!m.solve_keeps_vectors, 4 * local));
   s.solve.product = arena.template zeros<Real>("product", 2 * 4 * rows);
 
-  s.contact.triangle_rows = arena.template constant<uint32_t>("contact triangles", m.contact.triangle_rows);
-  s.contact.triangle_neighbours =
-      arena.template constant<uint32_t>("contact neighbours", m.contact.triangle_neighbours);
+  s.contact.triangle_rows = place_buffer<EditBuffer::kTriangleRows, Real>(m, arena, bound.buffers);
+  s.contact.triangle_neighbours = place_buffer<EditBuffer::kTriangleNeighbours, Real>(m, arena, bound.buffers);
   s.contact.patch_triangles =
       arena.template constant<uint32_t>("contact triangles of patches", m.contact.patch_triangles);
-  s.contact.triangle_area = arena.template constant<Real>("contact areas", m.contact.triangle_area);
-  s.contact.triangle_moduli = arena.template constant<Real>("contact moduli", m.contact.triangle_moduli);
-  s.contact.vertex_of_corner = arena.template constant<uint32_t>("contact corners", m.contact.vertex_of_corner);
-  s.contact.surface_rows = arena.template constant<uint32_t>("contact rows", m.contact.surface_rows);
+  // Without editing nothing lies behind what exists: it ends where the next one begins.
+  const auto end_or_next = [](const uint32_t* end, const uint32_t* begin) {
+    return end != nullptr || begin == nullptr ? end : begin + 1;
+  };
+  s.contact.triangles_end =
+      end_or_next(place_buffer<EditBuffer::kTrianglesEnd, Real>(m, arena, bound.buffers), s.contact.patch_triangles);
+  s.contact.triangle_area = place_buffer<EditBuffer::kTriangleAreas, Real>(m, arena, bound.buffers);
+  s.contact.triangle_moduli = place_buffer<EditBuffer::kTriangleModuli, Real>(m, arena, bound.buffers);
+  s.contact.vertex_of_corner = place_buffer<EditBuffer::kCornerVertices, Real>(m, arena, bound.buffers);
+  s.contact.surface_rows = place_buffer<EditBuffer::kSurfaceRows, Real>(m, arena, bound.buffers);
   s.contact.patch_surface = arena.template constant<uint32_t>("contact rows of patches", m.contact.patch_surface);
+  s.contact.surface_end =
+      end_or_next(place_buffer<EditBuffer::kSurfaceEnd, Real>(m, arena, bound.buffers), s.contact.patch_surface);
   s.contact.incidence_begin = arena.template constant<uint32_t>("contact incidence offsets", m.contact.incidence_begin);
-  s.contact.incidence = arena.template constant<uint32_t>("contact incidence", m.contact.incidence);
+  s.contact.incidence_end =
+      end_or_next(place_buffer<EditBuffer::kIncidenceEnd, Real>(m, arena, bound.buffers), s.contact.incidence_begin);
+  s.contact.incidence = place_buffer<EditBuffer::kIncidence, Real>(m, arena, bound.buffers);
   s.contact.closest = arena.template zeros<view::ClosestTriangle<Real>>("contact closest", m.core_points() * patches);
   s.contact.contacts = arena.template zeros<view::TriangleContact<Real>>("contacts", m.contact_points() * triangles);
   s.contact.samples = arena.template constant<float>("tool samples", m.tool_samples);
@@ -256,8 +267,8 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
 
   const FreeBodies& free = m.free_bodies;
   s.balance.body_count = free.count();
-  s.balance.row_body = arena.template constant<uint32_t>("free bodies of rows", free.row_body);
-  s.balance.center_rows = arena.template constant<uint32_t>("centres of free bodies", free.center_rows);
+  s.balance.row_body = place_buffer<EditBuffer::kRowBodies, Real>(m, arena, bound.buffers);
+  s.balance.center_rows = place_buffer<EditBuffer::kCenterRows, Real>(m, arena, bound.buffers);
   s.balance.patch_entries = arena.template constant<uint32_t>("free bodies of patches", free.patch_entries);
   s.balance.entry_body = arena.template constant<uint32_t>("free bodies by patch", free.entry_body);
   s.balance.body_begin = arena.template constant<uint32_t>("patches of free bodies", free.body_begin);
@@ -268,10 +279,10 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.balance.totals = arena.template zeros<view::BalanceSums>("missing momentum", free.count());
   s.balance.corrections = arena.template zeros<view::BodyCorrection<Real>>("rigid motions of bodies", free.count());
 
-  s.surface.vertex_count = m.visible.count();
-  s.surface.rows = arena.template constant<uint32_t>("visible rows", m.visible.rows);
-  s.surface.weights = arena.template constant<Real>("visible weights", m.visible.weights);
-  s.surface.positions = arena.template zeros<float>("visible positions", 3 * std::size_t{m.visible.count()});
+  s.surface.vertex_count = m.visible.point_count();
+  s.surface.rows = place_buffer<EditBuffer::kVisibleRows, Real>(m, arena, bound.buffers);
+  s.surface.weights = place_buffer<EditBuffer::kVisibleWeights, Real>(m, arena, bound.buffers);
+  s.surface.positions = arena.template zeros<float>("visible positions", 3 * std::size_t{m.visible.point_count()});
 
   s.solve.reduction = arena.template zeros<Real>("partial sums", 2 * patches * view::kPatchSums);
   s.solve.exchange_tags = arena.template zeros<uint32_t>("exchange tags", patches);
@@ -313,16 +324,19 @@ void write_records(const ElementGroup& group, Real* to) {
   });
 }
 
-/// Allocates the buffers of one group.
+/// Allocates the buffers of one group. buffers: where those are that edits change; may be null.
 template <class Real, class Arena>
-view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& arena) {
+view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& arena,
+                             GroupBuffers<Real>* buffers = nullptr) {
+  GroupBuffers<Real> placed;
   TM_ASSERT(group_index < m.groups.size(), "the model has the group");
   const ElementGroup& group = m.groups[group_index];
   view::ElementView<Real> e{};
   e.count = group.stride;
   e.point_count = group.point_count;
   e.report_begin = static_cast<std::uint32_t>(group_index) * m.layout.patch_count;
-  e.rows = arena.template constant<std::uint32_t>("element rows", group.rows);
+  placed.rows = arena.template constant<std::uint32_t>("element rows", group.rows);
+  e.rows = placed.rows;
   physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
     using Shape = typename decltype(shape)::Type;
     // A single point with mean gradients does not exist in the reference shape.
@@ -333,12 +347,14 @@ view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& are
     e.reference_gradients = arena.template constant<Real>("reference gradients", gradients);
   });
   if (m.layout.storage == matrix::Storage::kEdges) {
-    e.rest = arena.template constant<Real>("element rest shapes", group.rest);
+    placed.rest = arena.template constant<Real>("element rest shapes", group.rest);
+    e.rest = placed.rest;
     e.parameters = arena.template constant<Real>("element parameters", group.parameters);
   } else {
     e.record_reals = group.record_reals();
-    e.records = arena.template generated<Real>("element records", std::size_t{group.stride} * e.record_reals,
-                                               [&](Real* to) { write_records(group, to); });
+    placed.records = arena.template generated<Real>("element records", std::size_t{group.stride} * e.record_reals,
+                                                    [&](Real* to) { write_records(group, to); });
+    e.records = placed.records;
     const bool decomposes = physics::decomposes(group.law) && !group.is_constant;
     e.decompositions = arena.template zeros<Real>(
         "decompositions", decomposes ? std::size_t{e.count} * e.point_count * view::kDecompositionReals : 0);
@@ -361,6 +377,7 @@ view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& are
   e.internal_variables = arena.template zeros<Real>("viscoelastic internal variables", group.internal_variable_reals());
   e.checkpoint_internal_variables =
       arena.template zeros<Real>("checkpoint internal variables", group.internal_variable_reals());
+  if (buffers != nullptr) *buffers = placed;
   return e;
 }
 

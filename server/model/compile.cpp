@@ -13,6 +13,7 @@
 #include "model/check.h"
 #include "model/clusters.h"
 #include "model/compile_parts.h"
+#include "model/edit_tables.h"
 #include "tensormass/v1/scene.pb.h"
 
 /// Compiles a scene, a message of untrusted input, to a Model, which a step can trust.
@@ -223,6 +224,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
                         .contact = model.contact}),
          model.findings);
   finish_findings(model.accepted, model.findings);
+  if (model.editing) TM_RETURN_IF_ERROR(make_editable({.bodies = bodies, .clusters = clusters.clusters}, model));
   check_model(model);
   return model;
 }

@@ -28,8 +28,9 @@ class Tool;
 
 /// A compiled scene: what model::compile makes of a message, and what model/bind.h copies into buffers.
 ///
-/// A Model is immutable and in double precision. An empty vector means that the scene does not need it, and no backend
-/// allocates a buffer for it. model/check.h asserts the sizes that the comments state.
+/// A Model is in double precision. Nothing but an Editor (edit.h) changes it after it was compiled. An empty vector
+/// means that the scene does not need it, and no backend allocates a buffer for it. model/check.h asserts the sizes
+/// that the comments state.
 ///
 ///   Model ── layout         rows, patches, slots (matrix/layout.h)
 ///         ── groups         elements by (shape, law), sorted by row
@@ -133,7 +134,7 @@ struct PressureSurface {
 struct ContactSurface {
   std::vector<std::uint32_t> triangle_rows;        ///< [triangle_count, 3]
   std::vector<std::uint32_t> triangle_neighbours;  ///< [triangle_count, 3]
-  std::vector<std::uint32_t> patch_triangles;      ///< [patch_count + 1]
+  std::vector<std::uint32_t> patch_triangles;      ///< [patch_count + 1]; a scene with editing has room behind them
   std::vector<double> triangle_area;               ///< [triangle_count] m²
   std::vector<double> triangle_moduli;             ///< [triangle_count, 2], see ContactView
   std::vector<std::uint32_t> vertex_of_corner;     ///< [triangle_count, 3]
@@ -141,6 +142,11 @@ struct ContactSurface {
   std::vector<std::uint32_t> patch_surface;        ///< [patch_count + 1]
   std::vector<std::uint32_t> incidence_begin;      ///< [surface vertex + 1]
   std::vector<std::uint32_t> incidence;            ///< [entry, 4], see ContactView
+  // Scenes with editing only, empty otherwise: where the triangles, the surface vertices and the entries that exist
+  // end.
+  std::vector<std::uint32_t> triangles_end;  ///< [patch_count]
+  std::vector<std::uint32_t> surface_end;    ///< [patch_count]
+  std::vector<std::uint32_t> incidence_end;  ///< [surface vertex]
 
   std::uint32_t triangle_count() const { return static_cast<std::uint32_t>(triangle_area.size()); }
 };
@@ -194,10 +200,14 @@ struct FreeBodies {
 
 /// The points that clients see: vertices, body by body, then the ends of springs. Each is a weighted mean of four rows.
 struct VisibleSurface {
-  std::vector<std::uint32_t> rows;  ///< [visible_count, 4]
-  std::vector<double> weights;      ///< [visible_count, 4]
-  std::uint32_t vertex_count = 0;   ///< vertices of bodies
-  std::uint32_t count() const { return static_cast<std::uint32_t>(rows.size() / 4); }
+  std::vector<std::uint32_t> rows;   ///< [point_count, 4]
+  std::vector<double> weights;       ///< [point_count, 4]
+  std::uint32_t vertex_count = 0;    ///< vertices of bodies
+  std::uint32_t room = 0;            ///< last points: room for vertices that edits append
+  std::uint32_t appended_count = 0;  ///< how many of them exist
+  std::uint32_t point_count() const { return static_cast<std::uint32_t>(rows.size() / 4); }
+  /// Returns how many points the scene has when it is loaded.
+  std::uint32_t count() const { return point_count() - room; }
   std::uint32_t attachment_point_count() const { return count() - vertex_count; }
 };
 
@@ -328,6 +338,8 @@ struct ToolModel {
   }
 };
 
+struct EditTables;  // edit_tables.h
+
 struct Model : Settings {
   std::vector<BodyModel> bodies;
   std::vector<ToolModel> tools;
@@ -361,6 +373,8 @@ struct Model : Settings {
   FreeBodies free_bodies;                      ///< empty: no step balances momentum
   VisibleSurface visible;                      ///< empty: no frames
   std::vector<VisibleAttachment> attachments;  ///< empty: no frames, or no attachments
+  /// What edits start from (edit.h); nullptr: the scene never changes.
+  std::shared_ptr<const EditTables> edit_tables;
 
   /// Returns the place of the body that has a node or an element, numbered in the scene.
   std::size_t body_of_node(std::uint32_t node) const { return model::body_of_node(bodies, node); }

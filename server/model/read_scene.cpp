@@ -152,6 +152,20 @@ Result<void> read_solver(const v1::Solver& solver, Settings& out) {
   return {};
 }
 
+Result<void> read_editing(const v1::Editing& editing, Settings& out) {
+  Editing& room = out.editing.emplace();
+  const auto read = [&](bool has, std::uint32_t value, const char* name,
+                        std::optional<std::uint32_t>& to) -> Result<void> {
+    if (!has) return {};
+    TM_RETURN_IF_ERROR(read_number(value, 0, limits::kMaxNewSurface, std::string("scene.editing.") + name));
+    to = value;
+    return {};
+  };
+  TM_RETURN_IF_ERROR(
+      read(editing.has_max_new_triangles(), editing.max_new_triangles(), "max_new_triangles", room.max_new_triangles));
+  return read(editing.has_max_new_vertices(), editing.max_new_vertices(), "max_new_vertices", room.max_new_vertices);
+}
+
 }  // namespace
 
 Result<Settings> read_settings(const v1::Scene& scene) {
@@ -189,6 +203,7 @@ Result<Settings> read_settings(const v1::Scene& scene) {
   }
   TM_ASSIGN_OR_RETURN(schedule, read_schedule(scene.gravity_schedule(), "scene.gravity_schedule"));
   out.gravity_schedule = std::move(schedule);
+  if (scene.has_editing()) TM_RETURN_IF_ERROR(read_editing(scene.editing(), out));
   return out;
 }
 

@@ -12,6 +12,11 @@ namespace tensormass::model {
 
 using solver::Integrator;
 
+/// Room for the surface that ablation brings to light (v1::Editing); absent: half of the surface, and more.
+struct Editing {
+  std::optional<std::uint32_t> max_new_triangles, max_new_vertices;
+};
+
 /// What a scene says as a whole. Constant as long as the scene is loaded, whatever happens to its bodies.
 struct Settings {
   std::string name;
@@ -36,6 +41,7 @@ struct Settings {
   Vec3<double> gravity_m_per_s2 = Vec3<double>::Zero();
   bool has_gravity = false;
   Schedule gravity_schedule;
+  std::optional<Editing> editing;  ///< absent: the scene never changes
 
   /// Returns whether a step runs Newton's method: more than one linear solve.
   bool iterates() const { return newton_max_iterations > 1; }

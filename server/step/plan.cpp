@@ -25,7 +25,7 @@ class CountingArena {
     return zeros<T>(name, items.size());
   }
   template <class T, class Fill>
-  const T* generated(std::string_view name, std::size_t count, const Fill&) {
+  T* generated(std::string_view name, std::size_t count, const Fill&) {
     return zeros<T>(name, count);
   }
   template <class T>

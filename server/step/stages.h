@@ -382,7 +382,7 @@ inline constexpr StageInfo kStages[] = {
    "gather surface", "displacement", "positions of visible vertices", "when a frame is due",
    [](const StageSizes& s) { return s.m.visible.count() > 0; },
    [](const StageSizes& s) {
-     const double vertices = s.m.visible.count();
+     const double vertices = s.m.visible.point_count();
      return Cost{vertices * (4 * (4 + 9 * s.real) + 12), vertices * 24};
    }},
 };

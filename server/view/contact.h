@@ -59,12 +59,15 @@ struct ContactView {
 
   const std::uint32_t* triangle_rows;        // [triangle_count, 3]
   const std::uint32_t* triangle_neighbours;  // [triangle_count, 3] across the edges 01, 12, 20; kNoTriangle at a rim
-  const std::uint32_t* patch_triangles;      // [patch_count + 1]
+  const std::uint32_t* patch_triangles;      // [patch_count] first triangle
+  const std::uint32_t* triangles_end;        // [patch_count] last triangle + 1; behind it a scene with editing has room
   const Real* triangle_area;                 // [triangle_count] m², at rest
   const Real* triangle_moduli;               // [triangle_count, 2] of the element behind it: E, E / (1 − ν²) [Pa]
   const std::uint32_t* surface_rows;         // [surface vertex], grouped by patch
-  const std::uint32_t* patch_surface;        // [patch_count + 1] into surface_rows
-  const std::uint32_t* incidence_begin;      // [surface vertex + 1]
+  const std::uint32_t* patch_surface;        // [patch_count] into surface_rows
+  const std::uint32_t* surface_end;          // [patch_count]
+  const std::uint32_t* incidence_begin;      // [surface vertex]
+  const std::uint32_t* incidence_end;        // [surface vertex]
   const std::uint32_t* incidence;         // [.., 4]: triangle, corner, slots of the two following corners, or kNoPlace
   const std::uint32_t* vertex_of_corner;  // [triangle_count, 3] surface vertex
 

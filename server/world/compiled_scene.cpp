@@ -24,7 +24,7 @@ Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions&
   const std::uint32_t cpu_threads = model::requested_cpu_threads(scene);
   TM_ASSIGN_OR_RETURN(model, model::compile(scene, backend->patch_policy(cpu_threads), progress));
   v1::SceneReport report = step::make_report(model, backend->rates(cpu_threads));
-  return CompiledScene{std::move(backend), std::make_unique<const model::Model>(std::move(model)), std::move(report),
+  return CompiledScene{std::move(backend), std::make_unique<model::Model>(std::move(model)), std::move(report),
                        hash_of(scene)};
 }
 

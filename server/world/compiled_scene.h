@@ -16,7 +16,7 @@ namespace tensormass::world {
 /// A scene's model with the backend it was compiled for.
 struct CompiledScene {
   std::unique_ptr<backend::Backend> backend;
-  std::unique_ptr<const model::Model> model;
+  std::unique_ptr<model::Model> model;
   v1::SceneReport report;
   std::uint64_t scene_hash = 0;  ///< hashes.h
 };

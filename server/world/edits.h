@@ -10,6 +10,7 @@
 
 #include "core/result.h"
 #include "tensormass/v1/adjustment.pb.h"
+#include "tensormass/v1/edit.pb.h"
 #include "tensormass/v1/recording.pb.h"
 
 /// The edits of a scene: what can be done to it between two steps.
@@ -33,8 +34,12 @@ struct Restore {
 };
 /// ResetScene.
 struct Reset {};
+/// EditScene.
+struct ChangeScene {
+  v1::SceneEdit edit;
+};
 
-using Edit = std::variant<Adjust, Restore, Reset>;
+using Edit = std::variant<Adjust, Restore, Reset, ChangeScene>;
 /// Shared, because a snapshot is large, and made by the caller, because a command of the loop must not fail without
 /// memory.
 using EditPointer = std::shared_ptr<const Edit>;
@@ -45,11 +50,17 @@ struct DoneEdit {
   std::uint64_t step = 0;  ///< steps of the scene after it
 };
 
+/// EditScene calls between two steps of a scene that is recorded; a call for more is refused.
+inline constexpr std::size_t kMaxChangesOfStep = 64;
 /// Number of edits that `add_edit` keeps at most.
-inline constexpr std::size_t kMaxEditsOfStep = 3;
+inline constexpr std::size_t kMaxEditsOfStep = 3 + kMaxChangesOfStep;
+
+/// Returns how many EditScene calls are among edits.
+std::size_t count_changes(const std::vector<DoneEdit>& edits);
 
 /// Adds an edit to those since the last step, and drops what nothing depends on any more: a state that is replaced, and
-/// values that are. So any number of edits between two steps becomes at most kMaxEditsOfStep: values, a state, values.
+/// values that are. So any number of edits between two steps becomes at most kMaxEditsOfStep: values, a state, then
+/// values and at most kMaxChangesOfStep calls of EditScene, for which the caller cares.
 void add_edit(std::vector<DoneEdit>& edits, DoneEdit next);
 
 /// Bytes of an edit in a recording, about.

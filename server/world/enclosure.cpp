@@ -11,16 +11,49 @@ namespace tensormass::world {
 
 Enclosure::Enclosure(const model::Model& model) {
   if (!model.goes_on) return;
-  for (const model::BodyModel& body : model.bodies) {
+  for (std::size_t b = 0; b < model.bodies.size(); ++b) {
+    const model::BodyModel& body = model.bodies[b];
     const auto count = static_cast<double>(body.triangles.size());
     if (count == 0 || count > kMostTrianglesPerS * model.dt_s) continue;
-    if (mesh::triangle_neighbours(body.triangles, body.name)) bodies_.push_back({.surface = &body});
+    if (!mesh::triangle_neighbours(body.triangles, body.name)) continue;
+    bodies_.push_back({.place = b,
+                       .vertex_begin = body.vertex_begin,
+                       .vertex_end = body.vertex_begin + body.vertex_count,
+                       .triangles = body.triangles,
+                       .appended = {}});
+    for (mesh::Triangle& triangle : bodies_.back().triangles) {
+      for (std::uint32_t& corner : triangle) corner += body.vertex_begin;
+    }
   }
 }
 
-Vec3<double> Enclosure::position(const Body& body, std::uint32_t vertex) const {
-  const std::size_t place = std::size_t{body.surface->vertex_begin} + vertex;
-  return Eigen::Map<const Eigen::Vector3f>(visible_m_.data() + 3 * place).cast<double>();
+void Enclosure::take(const model::Model& model, std::span<const model::BodySurface> surfaces) {
+  for (Body& body : bodies_) {
+    const model::BodyModel& loaded = model.bodies[body.place];
+    const model::BodySurface& surface = surfaces[body.place];
+    const auto point = [&](std::uint32_t vertex) {
+      if (vertex < loaded.vertex_count) return body.vertex_begin + vertex;
+      return surface.appended_vertices[vertex - loaded.vertex_count];
+    };
+    body.appended = surface.appended_vertices;
+    body.triangles.clear();
+    auto dead = surface.dead_triangles.begin();
+    const std::size_t all = loaded.triangles.size() + surface.appended_triangles.size();
+    for (std::size_t t = 0; t < all; ++t) {
+      if (dead != surface.dead_triangles.end() && *dead == t) {
+        ++dead;
+        continue;
+      }
+      const bool is_loaded = t < loaded.triangles.size();
+      const mesh::Triangle& of =
+          is_loaded ? loaded.triangles[t] : surface.appended_triangles[t - loaded.triangles.size()];
+      body.triangles.push_back({point(of[0]), point(of[1]), point(of[2])});
+    }
+  }
+}
+
+Vec3<double> Enclosure::position(std::uint32_t point) const {
+  return Eigen::Map<const Eigen::Vector3f>(visible_m_.data() + std::size_t{3} * point).cast<double>();
 }
 
 void Enclosure::update(std::span<const float> visible_m) {
@@ -28,11 +61,13 @@ void Enclosure::update(std::span<const float> visible_m) {
   for (Body& body : bodies_) {
     body.least.setConstant(std::numeric_limits<double>::infinity());
     body.most = -body.least;
-    for (std::uint32_t v = 0; v < body.surface->vertex_count; ++v) {
-      const Vec3<double> x = position(body, v);
+    const auto add = [&](std::uint32_t place) {
+      const Vec3<double> x = position(place);
       body.least = body.least.cwiseMin(x);
       body.most = body.most.cwiseMax(x);
-    }
+    };
+    for (std::uint32_t v = body.vertex_begin; v < body.vertex_end; ++v) add(v);
+    for (const std::uint32_t v : body.appended) add(v);
   }
 }
 
@@ -56,9 +91,9 @@ Enclosure::Core Enclosure::core_of(const model::ToolModel& tool, const physics::
 bool Enclosure::cross(const Body& body, const Vec3<double>& point, int axis, Crossings& out) const {
   const int u = (axis + 1) % 3, v = (axis + 2) % 3;
   out.count = 0;
-  for (const mesh::Triangle& t : body.surface->triangles) {
+  for (const mesh::Triangle& t : body.triangles) {
     std::array<Vec3<double>, 3> x;
-    for (std::size_t c = 0; c < 3; ++c) x[c] = position(body, t[c]) - point;
+    for (std::size_t c = 0; c < 3; ++c) x[c] = position(t[c]) - point;
     // A triangle is crossed if its edges wind around the line in the plane across it. Both triangles of an edge compute
     // its side of the line in the same order, so that no rounding opens a gap between them.
     int winding = 0;

@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "model/edit.h"
 #include "model/model.h"
 #include "physics/tool/pose.h"
 
@@ -30,6 +31,8 @@ class Enclosure {
 
   /// Whether there is no body to look at.
   bool empty() const { return bodies_.empty(); }
+  /// Takes over surfaces that edits have changed: [body], as the editor has them.
+  void take(const model::Model& model, std::span<const model::BodySurface> surfaces);
   /// Takes the visible positions [visible_count, 3] m of this moment, which must stay until the next call.
   void update(std::span<const float> visible_m);
   /// Returns whether a body encloses a point of the tool's core with half a radius of tissue around it. The core of a
@@ -56,7 +59,10 @@ class Enclosure {
   };
   /// A body whose visible surface is closed and small enough to be looked at.
   struct Body {
-    const model::BodyModel* surface;
+    std::size_t place;                       ///< in Model::bodies
+    std::uint32_t vertex_begin, vertex_end;  ///< visible points of its topology
+    std::vector<mesh::Triangle> triangles;   ///< those that exist; corners are visible points
+    std::vector<std::uint32_t> appended;     ///< visible points that edits have appended
     Vec3<double> least = Vec3<double>::Zero(), most = Vec3<double>::Zero();
   };
   struct Core {
@@ -65,7 +71,7 @@ class Enclosure {
   };
 
   static Core core_of(const model::ToolModel& tool, const physics::Pose& shape);
-  Vec3<double> position(const Body& body, std::uint32_t vertex) const;
+  Vec3<double> position(std::uint32_t point) const;
   bool cross(const Body& body, const Vec3<double>& point, int axis, Crossings& out) const;
   bool is_inside(const Body& body, const Vec3<double>& point) const;
 

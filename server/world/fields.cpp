@@ -147,6 +147,9 @@ Measured measure(const model::Model& m, const backend::RowState& state,
       }
     });
   }
+  for (double& det_f : measured.det_f) {
+    if (std::isinf(det_f)) det_f = 1;  // an edit took all of its material
+  }
   for (const auto& face : faces) {
     Vec3<double> x[physics::kMaxFaceNodes];
     for (std::uint32_t k = 0; k < face.node_count; ++k) {

@@ -11,6 +11,7 @@
 
 #include "core/assert.h"
 #include "core/finding_kinds.h"
+#include "model/edit_tables.h"
 #include "physics/lists.h"
 #include "step/finding_message.h"
 

@@ -96,9 +96,10 @@ double least_energy(const model::Model& m) {
 /// Says whether a step must end in an equilibrium.
 bool must_converge(const model::Model& m) { return m.quasi_static() && m.iterates() && !m.allow_unconverged; }
 
-/// Says whether a body has no fixed nodes, so that it may fall.
+/// Says whether a body has no fixed nodes, so that it may fall, or may lose a piece that then falls.
 bool may_fall(const model::Model& m) {
-  return std::any_of(m.bodies.begin(), m.bodies.end(), [](const auto& body) { return body.fixed_node_count == 0; });
+  return m.edit_tables != nullptr ||
+         std::any_of(m.bodies.begin(), m.bodies.end(), [](const auto& body) { return body.fixed_node_count == 0; });
 }
 
 }  // namespace

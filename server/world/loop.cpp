@@ -8,6 +8,7 @@
 
 #include "core/names.h"
 #include "world/device_loss.h"
+#include "world/scene_edit.h"
 
 namespace tensormass::world {
 
@@ -34,6 +35,7 @@ Loop::Loop(std::string backend, std::unique_ptr<World> world, GenerationPointer 
       hand_(clock_.period()),
       expiry_(model().tools.size(), Clock::time_point::max()) {
   status_.take_stamp(outputs_.stamp());
+  status_.take_edits(*world_);
   outputs_.publish(true);
   thread_ = std::thread([this] { run(); });
 }
@@ -348,6 +350,26 @@ Result<v1::SceneStatus> Loop::do_reset(EditPointer edit) {
   return status_.make();
 }
 
+Result<v1::SceneStatus> Loop::do_edit(const v1::SceneEdit& change, EditPointer edit) {
+  TM_RETURN_IF_ERROR(status_.require_not_faulted());
+  if (recording_ && !recording_->takes_change()) {
+    return fail(
+        ErrorCode::kResourceExhausted,
+        fmt::format("scene '{}' is recorded and had world::kMaxChangesOfStep = {} edits since its last step; make "
+                    "a step first",
+                    model_.name, kMaxChangesOfStep));
+  }
+  TM_ASSIGN_OR_RETURN(read, read_scene_edit(model_, change, world_->broken_springs()));
+  TM_RETURN_IF_ERROR(world_->edit(read.ablations, read.springs));
+  if (recording_) recording_->take_edit({std::move(edit), world_->step_count()});
+  status_.take_edits(*world_);
+  if (status_.state() != v1::SceneStatus::STATE_RUNNING) {  // else the next step brings a frame
+    outputs_.gather_frame();
+    outputs_.publish(true);
+  }
+  return status_.make();
+}
+
 /// Clears what was said about the state before, and publishes the new one.
 void Loop::go_on_from_new_state() {
   device_failed_ = false;
@@ -359,6 +381,7 @@ void Loop::go_on_from_new_state() {
   std::fill(expiry_.begin(), expiry_.end(), Clock::time_point::max());
   outputs_.take_step(Clock::now());
   status_.take_stamp(outputs_.stamp());
+  status_.take_edits(*world_);
   outputs_.publish(true);
 }
 
@@ -392,7 +415,9 @@ Result<v1::GetPositionsResponse> Loop::do_positions(std::string_view name) {
 
 Result<Loop::FieldSource> Loop::do_copy_state() {
   TM_RETURN_IF_ERROR(require_state());
-  return FieldSource{world_->state(), world_->step_count(), world_->simulated_time_s(), generation()};
+  // Edits change the world's model between two steps, so whoever measures needs a copy of it.
+  return FieldSource{world_->state(), world_->step_count(), world_->simulated_time_s(), generation(),
+                     model().edit_tables ? std::make_shared<const model::Model>(model()) : nullptr};
 }
 
 Result<void> Loop::do_set_signal(std::function<void()> signal) {

@@ -65,6 +65,7 @@ class Loop {
     std::uint64_t step;
     double simulated_time_s;
     GenerationPointer generation;
+    std::shared_ptr<const model::Model> edited;  ///< the model as it is now, in a scene with editing; else nullptr
   };
 
   /// Starts the thread. backend: its name, for the status.
@@ -118,6 +119,7 @@ class Loop {
   Result<v1::SceneStatus> do_step(std::uint32_t count);
   /// edit: the same, for a recording; made by the caller, because without memory nothing may be half done
   Result<v1::SceneStatus> do_reset(EditPointer edit);
+  Result<v1::SceneStatus> do_edit(const v1::SceneEdit& change, EditPointer edit);
   Result<v1::Frame> do_frame();
   Result<v1::GetPositionsResponse> do_positions(std::string_view body);
   Result<FieldSource> do_copy_state();

@@ -100,7 +100,7 @@ Result<void> Loop::do_swap(std::unique_ptr<World>& next, GenerationPointer gener
   try {
     const World::Copied copy = world_->copy();
     try {
-      next->take_over(World::by_node(model(), copy));
+      next->take_over(World::by_node(*world_->shared_model(), copy));
     } catch (const std::bad_alloc&) {
       throw;
     } catch (const std::exception& failure) {
@@ -135,6 +135,9 @@ Result<v1::SceneStatus> Loop::do_restore(const LoopCopy& state, EditPointer edit
   TM_RETURN_IF_ERROR(require_state());
   if (generation_.get() != generation) {
     return fail(ErrorCode::kUnavailable, fmt::format("scene '{}' was adjusted at the same time", model().name));
+  }
+  if (const auto fits = world_->check_shares(state.world); !fits) {
+    return fail(fits.error().code, "snapshot.ablated_elements: " + fits.error().message);
   }
   budget_.clear();
   world_->restore(state.world);

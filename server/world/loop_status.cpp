@@ -72,6 +72,13 @@ void LoopStatus::take_stamp(const StepStamp& stamp) {
   changes_.fetch_add(1, std::memory_order_relaxed);
 }
 
+void LoopStatus::take_edits(const World& world) {
+  if (world.editor() == nullptr) return;
+  removed_mass_kg_.store(world.editor()->removed_mass_kg(), std::memory_order_relaxed);
+  removed_volume_m3_.store(world.editor()->removed_volume_m3(), std::memory_order_relaxed);
+  changes_.fetch_add(1, std::memory_order_relaxed);
+}
+
 Result<void> LoopStatus::require_not_faulted() const {
   if (state_ != v1::SceneStatus::STATE_FAULTED) return {};
   const std::lock_guard lock(fault_mutex_);
@@ -103,6 +110,8 @@ v1::SceneStatus LoopStatus::make() const {
   status.set_poses_rejected(rejected);
   status.set_poses_superseded(superseded);
   status.set_backend(backend_);
+  status.set_removed_mass_kg(removed_mass_kg_.load(std::memory_order_relaxed));
+  status.set_removed_volume_m3(removed_volume_m3_.load(std::memory_order_relaxed));
   findings_.add_to(status);
   {
     const std::lock_guard lock(fault_mutex_);

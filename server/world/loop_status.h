@@ -57,6 +57,8 @@ class LoopStatus {
   void take_diagnostics(const World& world) { findings_.take_diagnostics(world); }
   /// Step and simulated time of a step that was published, or of a state that a reset or a snapshot brought.
   void take_stamp(const StepStamp& stamp);
+  /// Takes what edits have removed.
+  void take_edits(const World& world);
   /// The process can use its device no more (device_loss.h).
   void take_device_loss() { device_lost_.store(true, std::memory_order_relaxed); }
   /// in_time: the step met its deadline.
@@ -90,7 +92,7 @@ class LoopStatus {
   std::atomic<State> state_;
   std::atomic<bool> due_{true}, device_lost_{false};
   std::atomic<std::uint64_t> step_count_{0}, changes_{0};
-  std::atomic<double> simulated_time_s_{0};
+  std::atomic<double> simulated_time_s_{0}, removed_mass_kg_{0}, removed_volume_m3_{0};
   const std::shared_ptr<StepStatistics> statistics_;
   const std::shared_ptr<SceneCounts> counts_;
   Findings findings_;

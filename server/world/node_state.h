@@ -23,7 +23,8 @@
 ///
 ///   nodes       as in the scene
 ///   elements    group by group (ElementGroup), ascending in each; a cluster counts as its first element
-///   triangles   of the contact surface: by the node of the first corner, then as in the boundary of the mesh
+///   triangles   of the contact surface: by the node of the first corner, then as in the boundary of the mesh. In a
+///               scene with editing as in its layout
 ///   candidates  nodes that may touch a surface: by node, then side (view::TiesView)
 ///   springs     as in the scene's attachments
 ///

@@ -37,7 +37,9 @@ void Recording::take_pose(std::size_t tool, const ReceivedPose& received) {
 }
 
 void Recording::take_edit(DoneEdit done) {
-  if (!std::holds_alternative<Adjust>(*done.edit)) std::fill(has_coming_.begin(), has_coming_.end(), false);
+  const bool keeps_state =
+      std::holds_alternative<Adjust>(*done.edit) || std::holds_alternative<ChangeScene>(*done.edit);
+  if (!keeps_state) std::fill(has_coming_.begin(), has_coming_.end(), false);
   add_edit(coming_edits_, std::move(done));
 }
 

@@ -64,6 +64,8 @@ class Recording {
   void take_pose(std::size_t tool, const ReceivedPose& received);
   /// An edit was done. Poses of steps that did not come are dropped if the state is another one now.
   void take_edit(DoneEdit done);
+  /// Whether it can take another EditScene before the coming step.
+  bool takes_change() const { return count_changes(coming_edits_) < kMaxChangesOfStep; }
   void end_step(const StepEnd& end);
   /// Says whether the state after the last step must be checked.
   bool check_due() const { return check_every_ > 0 && index_.load(std::memory_order_relaxed) % check_every_ == 0; }

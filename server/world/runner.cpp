@@ -81,6 +81,7 @@ struct Runner::Impl {
   Result<v1::SceneStatus> apply(const Adjust& adjust, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const Restore& restore, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const Reset& reset, const EditPointer& edit);
+  Result<v1::SceneStatus> apply(const ChangeScene& change, const EditPointer& edit);
   Result<void> swap_world(v1::SceneAdjustments wanted);
 
   const v1::SceneReport report;
@@ -134,6 +135,9 @@ Result<v1::SceneStatus> Runner::step(std::uint32_t count) {
   }
   return impl_->call([count](Loop& loop) { return loop.do_step(count); });
 }
+Result<v1::SceneStatus> Runner::edit(const v1::SceneEdit& change) {
+  return impl_->apply(std::make_shared<const Edit>(ChangeScene{change}));
+}
 Result<v1::SceneStatus> Runner::reset() { return impl_->apply(std::make_shared<const Edit>(Reset{})); }
 v1::SceneStatus Runner::status() const { return impl_->loop->status().make(); }
 SceneMetrics Runner::metrics() const {
@@ -158,7 +162,7 @@ Result<v1::GetPositionsResponse> Runner::positions(std::string_view body) {
 Result<v1::GetFieldsResponse> Runner::fields(const v1::GetFieldsRequest& request) {
   TM_RETURN_IF_ERROR(find_body(*impl_->loop->generation()->model, request.body()));
   TM_ASSIGN_OR_RETURN(source, impl_->read([](Loop& loop) { return loop.do_copy_state(); }));
-  const model::Model& model = *source.generation->model;
+  const model::Model& model = source.edited ? *source.edited : *source.generation->model;
   TM_ASSIGN_OR_RETURN(body, find_body(model, request.body()));
   TM_ASSIGN_OR_RETURN(response, measure_fields(model, source.state, source.simulated_time_s, *body, request));
   response.set_step(source.step);
@@ -296,6 +300,10 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Restore& restore, const EditPo
 
 Result<v1::SceneStatus> Runner::Impl::apply(const Reset&, const EditPointer& edit) {
   return loop->call([&] { return loop->do_reset(edit); });
+}
+
+Result<v1::SceneStatus> Runner::Impl::apply(const ChangeScene& change, const EditPointer& edit) {
+  return loop->call([&] { return loop->do_edit(change.edit, edit); });
 }
 
 /// Compiles the adjusted scene while the present world steps. Then swaps the two. Needs `adjusting`.

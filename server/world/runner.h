@@ -95,6 +95,8 @@ class Runner {
   /// Makes `count` steps of a scene in lockstep or paused, and returns when they are done.
   Result<v1::SceneStatus> step(std::uint32_t count);
   Result<v1::SceneStatus> reset();
+  /// Changes the scene between two steps, or not at all; see EditScene.
+  Result<v1::SceneStatus> edit(const v1::SceneEdit& change);
   v1::SceneStatus status() const;
   /// Waits for no step.
   SceneMetrics metrics() const;

@@ -15,6 +15,7 @@
 #include "world/guard.h"
 #include "world/hashes.h"
 #include "world/recording.h"
+#include "world/scene_edit.h"
 
 namespace tensormass::world {
 
@@ -323,6 +324,11 @@ Result<std::string_view> open_snapshot(std::string_view bytes) {
   return bytes;
 }
 
+/// Returns SnapshotState.slips_layout_hash of a model.
+std::uint64_t layout_of_slips(const model::Model& model) {
+  return model.edit_tables && model.contacts_remember() ? hash_of_layout(model) : 0;
+}
+
 }  // namespace
 
 std::string seal_snapshot(const std::string& content) {
@@ -355,6 +361,8 @@ std::string write_snapshot(const model::Model& model, std::uint64_t scene_hash, 
   message.set_stuck_s(world.stuck_s);
   message.set_bodies_touch(world.bodies_touch);
   message.set_next_diagnostics(state.next_diagnostics);
+  write_shares(world.shares, message);
+  message.set_slips_layout_hash(layout_of_slips(model));
   return seal_snapshot(message.SerializeAsString());
 }
 
@@ -371,6 +379,11 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
         fmt::format("snapshot: it is of another scene ('{}') than the loaded '{}', or of other values; load that "
                     "scene first, or adjust it as it was",
                     message.scene(), model.name));
+  }
+  if (message.slips_layout_hash() != layout_of_slips(model)) {
+    return fail(ErrorCode::kFailedPrecondition,
+                "snapshot: the scene has editing and contacts that remember something, and was split otherwise; load it "
+                "on the same kind of backend with the same number of threads");
   }
   LoopState out;
   World::Saved& world = out.world;
@@ -403,6 +416,8 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
   world.stuck_s = stuck;
   world.bodies_touch = message.bodies_touch();
   out.next_diagnostics = message.next_diagnostics();
+  TM_ASSIGN_OR_RETURN(shares, read_shares(model, message));
+  world.shares = std::move(shares);
   return out;
 }
 

@@ -36,12 +36,17 @@ constexpr std::uint32_t kMostPartsForAHand = 2;
 
 Result<std::unique_ptr<World>> World::create(std::shared_ptr<const model::Model> model,
                                              const backend::Backend& backend) {
-  TM_ASSIGN_OR_RETURN(state, backend.create(*model));
-  return std::unique_ptr<World>(new World(std::move(model), std::move(state)));
+  // Other threads read the model, so edits change a copy.
+  auto edited = model->edit_tables ? std::make_unique<model::Model>(*model) : nullptr;
+  TM_ASSIGN_OR_RETURN(state, backend.create(edited ? *edited : *model));
+  return std::unique_ptr<World>(new World(std::move(model), std::move(edited), std::move(state)));
 }
 
-World::World(std::shared_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state)
-    : model_(std::move(model)),
+World::World(std::shared_ptr<const model::Model> loaded, std::unique_ptr<model::Model> edited,
+             std::unique_ptr<backend::SceneState> state)
+    : loaded_(std::move(loaded)),
+      edited_(std::move(edited)),
+      model_(edited_ ? edited_.get() : loaded_.get()),
       state_(std::move(state)),
       tools_(model_->tools.begin(), model_->tools.end()),
       published_(model_->tools.size()),
@@ -57,6 +62,8 @@ World::World(std::shared_ptr<const model::Model> model, std::unique_ptr<backend:
       cg_limit_(model_->cg_max_iterations),
       broken_(model_->ties.spring_count()),
       broken_bits_((broken_.size() + 7) / 8) {
+  if (model_->edit_tables != nullptr) editor_.emplace(*model_);
+  severed_.severed.reserve(broken_.size());
   if (!model_->initial_displacement.empty() || !model_->initial_velocity.empty()) write_start();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
@@ -485,6 +492,10 @@ double World::diagnose_elastic_energy() {
 void World::diagnose() { energy_.take_elastic(diagnose_elastic_energy()); }
 
 void World::reset() {
+  if (editor_) {
+    editor_->heal(*edited_, [&](const model::ModelEdit& edit) { state_->apply(edit); });
+    enclosure_.take(*model_, editor_->surfaces());
+  }
   write_start();
   std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
   step_count_ = 0;
@@ -510,6 +521,7 @@ World::Copied World::copy() {
   out.stuck_s = stuck_s_;
   out.bodies_touch = bodies_touch_ && model_->extrapolates();  // other schemes do not ask
   projection_.save(out);
+  if (editor_) out.shares = editor_->shares();
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     out.tools.push_back({tools_[i].save(), readings_[i].newest, published_[i]});
   }
@@ -518,6 +530,7 @@ World::Copied World::copy() {
 
 void World::restore(const Copied& saved) {
   TM_ASSERT(saved.tools.size() == tools_.size(), "a saved state is of the same scene");
+  take_shares(saved.shares);
   state_->write(saved.tissue.rows);
   state_->write_history(saved.tissue.history);
   read_broken();

@@ -3,11 +3,13 @@
 #include <algorithm>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 #include <vector>
 
 #include "backend/backend.h"
 #include "core/assert.h"
+#include "model/edit.h"
 #include "model/model.h"
 #include "world/enclosure.h"
 #include "world/guard.h"
@@ -46,7 +48,8 @@ class World {
 
   const model::Model& model() const { return *model_; }
   /// For threads that need the model for longer than this world may live.
-  const std::shared_ptr<const model::Model>& shared_model() const { return model_; }
+  /// It is as loaded: edits change a copy, which is model().
+  const std::shared_ptr<const model::Model>& shared_model() const { return loaded_; }
 
   /// Version of the v1::Topology that describes the visible surface; frames repeat it.
   std::uint64_t topology_version() const { return topology_version_; }
@@ -79,6 +82,7 @@ class World {
     bool recovering = false;       ///< see World::recovering
     double stuck_s = 0;            ///< grows with each step of a recovery, falls with each other one
     bool bodies_touch = false;     ///< bodies touched each other at the end of the last step
+    model::Editor::Shares shares;  ///< what edits have left
   };
   /// Everything that the next step depends on, besides the inputs of that step.
   struct Saved : SavedBesideTissue {
@@ -96,14 +100,24 @@ class World {
   }
   /// Copies the state. Allocates; for requests.
   Copied copy();
-  Saved save() { return by_node(*model_, copy()); }
+  Saved save() { return by_node(*loaded_, copy()); }
+  /// Says in words why edits of this scene cannot have left what a saved state says.
+  Result<void> check_shares(const SavedBesideTissue& saved) const;
   /// Goes on from a state of the same scene, whatever backend or number of threads it was saved on.
-  void restore(const Saved& saved) { restore(in_layout(*model_, saved)); }
+  void restore(const Saved& saved) { restore(in_layout(*loaded_, saved)); }
   /// Goes on from a state in the order of this world's layout.
   void restore(const Copied& copied);
   /// Goes on from a state that a world of another material saved. Its elastic energy is another one, so the energy
   /// balance starts anew.
   void take_over(const Saved& saved);
+
+  /// Ablates elements and severs springs, before the next step. Fails, and changes nothing, if one of them cannot be
+  /// done (model::Editor::check).
+  ///
+  ///   springs   in the order of the scene's attachments
+  Result<void> edit(std::span<const model::Ablation> ablations, std::span<const std::uint32_t> springs);
+  /// What edits have done since the start or the last reset; nullptr: the scene has no editing.
+  const model::Editor* editor() const { return editor_ ? &*editor_ : nullptr; }
 
   std::uint32_t cg_limit() const { return cg_limit_; }
 
@@ -140,7 +154,7 @@ class World {
 
   /// Broken springs after the last step, as in Frame.broken_springs: [⌈spring_count / 8⌉] bytes.
   std::span<const std::uint8_t> broken_springs() const { return broken_bits_; }
-  /// Positions that were last gathered, [visible_count, 3] m.
+  /// Positions that were last gathered, [visible_count, 3] m, then those of appended vertices and the room for more.
   std::span<const float> visible_positions() { return state_->visible_positions(); }
   void gather_visible() { state_->gather_visible(); }
   /// All nodes of a body in the order of its mesh, [node_count, 3] m. Allocates; for requests.
@@ -149,8 +163,12 @@ class World {
   backend::RowState state() { return state_->read(); }
 
  private:
-  World(std::shared_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state);
+  World(std::shared_ptr<const model::Model> loaded, std::unique_ptr<model::Model> edited,
+        std::unique_ptr<backend::SceneState> state);
   void write_start();
+  Result<void> check_springs(std::span<const std::uint32_t> springs) const;
+  void take_edited_surfaces();
+  void take_shares(const model::Editor::Shares& shares);
   double diagnose_elastic_energy();
   void place_tools();
   void read_tools();
@@ -217,8 +235,12 @@ class World {
     std::uint32_t left_ = 0, length_ = kLeast / 2, good_ = 0;
   };
 
-  std::shared_ptr<const model::Model> model_;
+  std::shared_ptr<const model::Model> loaded_;
+  std::unique_ptr<model::Model> edited_;  // what edits have made of it; nullptr: the scene has no editing
+  const model::Model* model_;             // the one that steps
   std::unique_ptr<backend::SceneState> state_;
+  std::optional<model::Editor> editor_;  // no value: the scene has no editing
+  model::ModelEdit severed_;             // springs of the present edit
   std::vector<ToolMotion> tools_;
   std::vector<backend::ToolForce> published_;  // [tool], at the end of the last step
   bool contact_jumped_ = false;                // in the last step, or its last part

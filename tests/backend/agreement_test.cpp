@@ -39,7 +39,7 @@ Trajectory run(const backend::Backend& backend, const v1::Scene& scene, int step
   out.largest_patch = model->layout.largest_patch();
   out.storage = model->layout.storage;
   out.solve_checks_volume = !model->checked.begin.empty();
-  auto world = world::World::create(std::make_unique<const model::Model>(std::move(*model)), backend);
+  auto world = world::World::create(std::make_unique<model::Model>(std::move(*model)), backend);
   EXPECT_TRUE(world) << world.error().message;
   for (int i = 0; i < steps; ++i) {
     if (press) (*world)->set_tool_target(0, {{0.05, 0.058 - 0.006 * std::min(i / 60.0, 1.0), 0.05}, {1, 0, 0, 0}});
@@ -172,7 +172,7 @@ TEST_P(CudaAgreement, DetectsAnInvertedElementInEveryPatch) {
         auto model = model::compile(scene, device ? policy : cpu_->patch_policy(model::requested_cpu_threads(scene)));
         ASSERT_TRUE(model) << model.error().message;
         EXPECT_EQ(!model->checked.begin.empty(), device && !GetParam().double_precision);
-        auto world = world::World::create(std::make_unique<const model::Model>(std::move(*model)), backend);
+        auto world = world::World::create(std::make_unique<model::Model>(std::move(*model)), backend);
         ASSERT_TRUE(world) << world.error().message;
         EXPECT_FALSE((*world)->step(false));
         ASSERT_NE((*world)->guard_event(), nullptr);

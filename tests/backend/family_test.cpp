@@ -39,7 +39,7 @@ v1::Scene bar(v1::Shape shape, const std::string& law, bool double_precision) {
 std::vector<double> positions_after(const backend::Backend& backend, const v1::Scene& scene, int steps) {
   auto model = model::compile(scene, backend.patch_policy(model::requested_cpu_threads(scene)));
   if (!model) throw std::runtime_error(model.error().message);
-  auto world = world::World::create(std::make_unique<const model::Model>(std::move(*model)), backend);
+  auto world = world::World::create(std::make_unique<model::Model>(std::move(*model)), backend);
   if (!world) throw std::runtime_error(world.error().message);
   for (int i = 0; i < steps; ++i) EXPECT_TRUE((*world)->step(false)) << "step " << i;
   return (*world)->positions((*world)->model().bodies[0]);

@@ -178,7 +178,7 @@ Result<Measured> time_steps(const Case& one, const backend::Backend& backend, st
   row.patches = model.layout.patch_count;
   row.bytes_per_element = static_cast<double>(report.bytes_total()) / static_cast<double>(row.elements);
   row.floor_s = bench::floor_bytes(model);  // divided by the bandwidth when the row is written
-  TM_ASSIGN_OR_RETURN(world, world::World::create(std::make_unique<const model::Model>(std::move(model)), backend));
+  TM_ASSIGN_OR_RETURN(world, world::World::create(std::make_unique<model::Model>(std::move(model)), backend));
   row.compile_s = std::chrono::duration<double>(Clock::now() - begin).count();
   // A St-Venant-Kirchhoff beam that falls for long inverts, and its guard stops it. It then restarts from rest. Neither
   // that step nor a retried one is a sample.

@@ -221,6 +221,12 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         await self._command(request, context)
         return control_pb2.AdjustSceneResponse(adjustments=request.changes)
 
+    async def EditScene(  # noqa: N802
+        self, request: control_pb2.EditSceneRequest, context: Call
+    ) -> control_pb2.EditSceneResponse:
+        await self._command(request, context)
+        return control_pb2.EditSceneResponse()
+
     async def LoadScene(  # noqa: N802
         self, request: control_pb2.LoadSceneRequest, context: Call
     ) -> control_pb2.LoadSceneResponse:

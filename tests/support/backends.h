@@ -32,7 +32,7 @@ class OnBackend : public testing::TestWithParam<const char*> {
   std::unique_ptr<world::World> start(const v1::Scene& scene) const {
     auto model = model::compile(scene, backend_->patch_policy(model::requested_cpu_threads(scene)));
     if (!model) throw std::runtime_error(model.error().message);
-    auto world = world::World::create(std::make_unique<const model::Model>(std::move(*model)), *backend_);
+    auto world = world::World::create(std::make_unique<model::Model>(std::move(*model)), *backend_);
     if (!world) throw std::runtime_error(world.error().message);
     return std::move(*world);
   }

@@ -76,6 +76,8 @@ class FaultyState final : public backend::SceneState {
   void come_to_rest() override { sound_->come_to_rest(); }
   std::span<const float> visible_positions() override { return sound_->visible_positions(); }
   void gather_visible() override { sound_->gather_visible(); }
+  void apply(const model::ModelEdit& edit) override { sound_->apply(edit); }
+  std::vector<backend::ConstantBuffer> read_constants() override { return sound_->read_constants(); }
   void read_broken(std::span<std::uint8_t> broken) override { sound_->read_broken(broken); }
   void diagnose(std::span<backend::GroupDiagnostics> groups) override { sound_->diagnose(groups); }
   backend::RowState read() override { return sound_->read(); }

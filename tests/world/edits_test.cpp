@@ -29,9 +29,16 @@ v1::SceneAdjustments stiffness(double factor) {
 
 DoneEdit adjust(double factor) { return {std::make_shared<const Edit>(Adjust{stiffness(factor)}), 7}; }
 DoneEdit restore(std::string snapshot) { return {std::make_shared<const Edit>(Restore{std::move(snapshot)}), 3}; }
+DoneEdit burn(std::uint32_t element) {
+  v1::SceneEdit edit;
+  v1::Ablation& ablation = *edit.add_ablations();
+  ablation.set_body("beam");
+  ablation.add_elements(element);
+  return {std::make_shared<const Edit>(ChangeScene{edit}), 5};
+}
 DoneEdit reset() { return {std::make_shared<const Edit>(Reset{}), 0}; }
 
-/// Edits as a text: "2" for a stiffness, "s" for a snapshot s, "0" for a reset.
+/// Edits as a text: "2" for a stiffness, "s" for a snapshot s, "x7" for the ablation of element 7, "0" for a reset.
 std::string text_of(const std::vector<DoneEdit>& edits) {
   std::string out;
   for (const DoneEdit& done : edits) {
@@ -39,6 +46,8 @@ std::string text_of(const std::vector<DoneEdit>& edits) {
       out += std::to_string(static_cast<int>(values->values.bodies(0).stiffness_factor()));
     } else if (const auto* state = std::get_if<Restore>(&*done.edit)) {
       out += state->snapshot;
+    } else if (const auto* change = std::get_if<ChangeScene>(&*done.edit)) {
+      out += "x" + std::to_string(change->edit.ablations(0).elements(0));
     } else {
       out += "0";
     }
@@ -58,11 +67,14 @@ TEST(EditsOfAStep, KeepWhatTheNextStepDependsOn) {
   EXPECT_EQ(after({adjust(2), restore("a"), adjust(3), adjust(4)}), "2a4");
   EXPECT_EQ(after({adjust(2), restore("a"), adjust(3), reset()}), "30");
   EXPECT_EQ(after({adjust(2), restore("a"), adjust(3), reset(), adjust(5), restore("c")}), "5c");
+  EXPECT_EQ(after({burn(1), burn(2)}), "x1x2") << "each counts, in its order";
+  EXPECT_EQ(after({burn(1), adjust(2), burn(3), adjust(4)}), "x1x34");
+  EXPECT_EQ(after({adjust(2), burn(1), reset(), burn(3)}), "20x3");
 }
 
 TEST(EditsOfAStep, EachKindHasAMessage) {
   EXPECT_EQ(std::variant_size_v<Edit>, v1::RecordedEdit::descriptor()->FindOneofByName("edit")->field_count());
-  for (const DoneEdit& done : {adjust(2), restore("bytes"), reset()}) {
+  for (const DoneEdit& done : {adjust(2), restore("bytes"), reset(), burn(7)}) {
     v1::RecordedEdit message;
     write_edit(9, done, message);
     EXPECT_EQ(message.index(), 9u);

@@ -18,13 +18,13 @@ class Arena {
  public:
   template <class T, class U>
   T* constant(std::string_view name, const std::vector<U>& items) {
-    T* copy = zeros<T>(name, items.size());
+    T* copy = remember(name, zeros<T>(name, items.size()), items.size());
     std::transform(items.begin(), items.end(), copy, [](U item) { return static_cast<T>(item); });
     return copy;
   }
   template <class T, class Fill>
-  const T* generated(std::string_view name, std::size_t count, const Fill& fill) {
-    T* items = zeros<T>(name, count);
+  T* generated(std::string_view name, std::size_t count, const Fill& fill) {
+    T* items = remember(name, zeros<T>(name, count), count);
     if (count > 0) fill(items);
     return items;
   }
@@ -40,13 +40,26 @@ class Arena {
     std::memset(blocks_.back().get(), 0, bytes);
     return reinterpret_cast<T*>(blocks_.back().get());
   }
+  /// A buffer that steps only read.
+  struct Constant {
+    std::string_view name;
+    const void* items;
+    std::size_t bytes;
+  };
+  const std::vector<Constant>& constants() const { return constants_; }
 
  private:
+  template <class T>
+  T* remember(std::string_view name, T* items, std::size_t count) {
+    if (count > 0) constants_.push_back({name, items, count * sizeof(T)});
+    return items;
+  }
   static constexpr std::size_t kCacheLine = 64, kHugePage = std::size_t{2} << 20;
   struct Free {
     void operator()(std::byte* p) const { std::free(p); }
   };
   std::vector<std::unique_ptr<std::byte, Free>> blocks_;
+  std::vector<Constant> constants_;
 };
 
 }  // namespace tensormass::backend::cpu

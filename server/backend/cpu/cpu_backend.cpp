@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <cstring>
 #include <fstream>
 #include <memory>
 #include <new>
@@ -15,6 +16,7 @@
 #include "backend/cpu/arena.h"
 #include "backend/cpu/elements.h"
 #include "backend/cpu/team.h"
+#include "backend/edited_state.h"
 #include "backend/saved_state.h"
 #include "backend/step_inputs.h"
 #include "backend/step_reports.h"
@@ -36,7 +38,7 @@ class CpuState final : public SceneState {
         barrier_(view_.patches.patch_count),
         load_factors_(model) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) {
-      groups_.push_back(model::bind<Real>(model, g, arena_));
+      groups_.push_back(model::bind<Real>(model, g, arena_, &buffers_.emplace_back()));
       passes_.push_back(cpu::element_passes<Real>(model.groups[g].shape, model.groups[g].law));
     }
     try {
@@ -95,6 +97,25 @@ class CpuState final : public SceneState {
     return {view_.surface.positions, 3 * std::size_t{view_.surface.vertex_count}};
   }
   void gather_visible() override { run(step::Phase::kFrame); }
+
+  void apply(const model::ModelEdit& edit) override {
+    model::for_each_write<Real>(model_, edit.ranges, bound_.buffers, buffers_,
+                                [](void* to, const void* from, std::size_t bytes) { std::memcpy(to, from, bytes); });
+    for (const std::uint32_t row : edit.held_rows) hold_row(view_, row);
+    for (const std::uint32_t spring : edit.severed) view_.ties.broken[spring] = 1;
+    for (std::uint32_t i = 0; view_.contact.slips != nullptr && i < slips_of_triangle(view_.contact); ++i) {
+      for (const auto& [from, to] : edit.moved_triangles) move_slip(view_.contact, i, from, to);
+    }
+    if (edit.changes_loads) load_factors_.forget(model_);
+  }
+  std::vector<ConstantBuffer> read_constants() override {
+    std::vector<ConstantBuffer> all;
+    for (const cpu::Arena::Constant& one : arena_.constants()) {
+      const auto* const begin = static_cast<const std::byte*>(one.items);
+      all.push_back({one.name, {begin, begin + one.bytes}});
+    }
+    return all;
+  }
 
   void read_broken(std::span<std::uint8_t> broken) override {
     copy_broken(std::span<const Real>(view_.ties.broken, view_.ties.spring_count), broken);
@@ -202,6 +223,7 @@ class CpuState final : public SceneState {
   const view::SceneView<Real>& view_ = bound_.view;
   const model::HostInputs<Real>& inputs_ = bound_.inputs;
   std::vector<view::ElementView<Real>> groups_;
+  std::vector<model::GroupBuffers<Real>> buffers_;  // [group]
   std::vector<cpu::ElementPasses<Real>> passes_;
   cpu::Barrier barrier_;
   Command command_ = 0;

@@ -48,7 +48,7 @@ class DeviceArena {
     });
   }
   template <class T, class Fill>
-  const T* generated(std::string_view name, std::size_t count, const Fill& fill) {
+  T* generated(std::string_view name, std::size_t count, const Fill& fill) {
     return filled<T>(name, count, fill);
   }
   template <class T>
@@ -56,12 +56,20 @@ class DeviceArena {
     if (count == 0) return nullptr;
     return static_cast<T*>(take(count * sizeof(T)));
   }
+  /// A buffer that steps only read.
+  struct Constant {
+    std::string_view name;
+    const void* items;
+    std::size_t bytes;
+  };
+  const std::vector<Constant>& constants() const { return constants_; }
 
  private:
   template <class T, class Fill>
   T* filled(std::string_view name, std::size_t count, const Fill& fill) {
     T* copy = zeros<T>(name, count);
     if (count == 0) return copy;
+    constants_.push_back({name, copy, count * sizeof(T)});
     std::vector<T> items(count);
     fill(items.data());
     check(cudaMemcpy(copy, items.data(), count * sizeof(T), cudaMemcpyHostToDevice), "upload");
@@ -88,6 +96,7 @@ class DeviceArena {
   }
 
   std::vector<void*> blocks_;
+  std::vector<Constant> constants_;
   char* next_ = nullptr;
   std::size_t left_ = 0;
 };

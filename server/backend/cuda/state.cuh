@@ -12,6 +12,7 @@
 #include "backend/backend.h"
 #include "backend/checkpoint.h"
 #include "backend/cuda/blocks.h"
+#include "backend/cuda/edit_kernels.cuh"
 #include "backend/cuda/elements.h"
 #include "backend/cuda/graph.cuh"
 #include "backend/cuda/memory.cuh"
@@ -67,13 +68,17 @@ class CudaState final : public SceneState {
         loads_(model.tools.size() * model.layout.patch_count),
         tie_reports_(model.ties.count() > 0 ? model.layout.patch_count : 0),
         balance_reports_(model.free_bodies.count()),
-        visible_(3 * std::size_t{model.visible.count()}),
+        visible_(3 * std::size_t{model.visible.point_count()}),
         broken_(model.ties.spring_count()),
         external_(loads_change(model) ? model.external.size() : 0),
         faces_(loads_change(model) ? model.pressure.faces.size() : 0),
         bound_(model::bind<Real>(model, arena_, exchange())),
+        edits_(model.edit_tables != nullptr || model.ties.spring_count() > 0),
         load_factors_(model) {
-    for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
+    for (std::size_t g = 0; g < model.groups.size(); ++g) {
+      groups_.push_back(model::bind<Real>(model, g, arena_, &buffers_.emplace_back()));
+    }
+    if (model.edit_tables != nullptr) moves_.reserve(2 * std::size_t{model.contact.triangle_count()});
     std::uint32_t largest = 0;
     for (std::uint32_t p = 0; p < view_.patches.patch_count; ++p) {
       largest = std::max(largest, model.layout.patch_rows[p + 1] - model.layout.patch_rows[p]);
@@ -146,6 +151,42 @@ class CudaState final : public SceneState {
   void gather_visible() override {
     launch_frame();
     wait("frame");
+  }
+
+  void apply(const model::ModelEdit& edit) override {
+    edits_.begin(stream());
+    const auto write = [&](void* to, const void* from, std::size_t bytes) { edits_.write(to, from, bytes, stream()); };
+    model::for_each_write<Real>(model_, edit.ranges, bound_.buffers, buffers_, write);
+    const Real broken = 1;
+    for (const std::uint32_t spring : edit.severed) write(view_.ties.broken + spring, &broken, sizeof broken);
+    edits_.end(stream());
+    edits_.with_numbers(edit.held_rows.data(), edit.held_rows.size(), 1, stream(),
+                        [&](const std::uint32_t* rows, std::uint32_t count) {
+                          constexpr unsigned kThreads = EditQueue::kThreads;
+                          hold_rows<<<(count + kThreads - 1) / kThreads, kThreads, 0, stream()>>>(view_, rows, count);
+                        });
+    if (view_.contact.slips != nullptr && !edit.moved_triangles.empty()) {
+      moves_.clear();
+      for (const auto& [from, to] : edit.moved_triangles) moves_.insert(moves_.end(), {from, to});
+      edits_.with_numbers(
+          moves_.data(), moves_.size(), 2, stream(), [&](const std::uint32_t* moves, std::uint32_t count) {
+            constexpr unsigned kThreads = EditQueue::kThreads;
+            const std::uint32_t slips = slips_of_triangle(view_.contact);
+            move_slips<<<(slips + kThreads - 1) / kThreads, kThreads, 0, stream()>>>(view_, moves, count);
+          });
+    }
+    // A state may be written next, by copies that do not wait for this stream.
+    if (!edit.held_rows.empty() || !edit.severed.empty() || !edit.moved_triangles.empty()) wait("edit");
+    if (edit.changes_loads) load_factors_.forget(model_);
+  }
+  std::vector<ConstantBuffer> read_constants() override {
+    wait("read back");
+    std::vector<ConstantBuffer> all;
+    for (const DeviceArena::Constant& one : arena_.constants()) {
+      ConstantBuffer& copy = all.emplace_back(ConstantBuffer{one.name, std::vector<std::byte>(one.bytes)});
+      check(cudaMemcpy(copy.bytes.data(), one.items, one.bytes, cudaMemcpyDeviceToHost), "read back");
+    }
+    return all;
   }
 
   void read_broken(std::span<std::uint8_t> broken) override {
@@ -405,6 +446,9 @@ class CudaState final : public SceneState {
   const model::BoundScene<Real> bound_;
   const view::SceneView<Real>& view_ = bound_.view;
   std::vector<view::ElementView<Real>> groups_;
+  std::vector<model::GroupBuffers<Real>> buffers_;  // [group]
+  EditQueue edits_;
+  std::vector<std::uint32_t> moves_;  // [move, 2] contact triangles in the present edit: from, to
   unsigned threads_ = 0;
   SolvePlan solve_plan_;
   Checkpoint<Real> checkpoint_;

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -34,7 +34,7 @@ from tensormass._src.scene_report import REPORT_FIELDS, report_path, write_repor
 from tensormass._src.step_record import StepRecord
 from tensormass._src.streams import Closing, Transport
 from tensormass._src.subscriptions import Subscription
-from tensormass.v1 import changes_pb2, control_pb2, event_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, control_pb2, edit_pb2, event_pb2, scene_pb2, stream_pb2
 
 
 class SceneHandle:
@@ -300,6 +300,42 @@ class SceneHandle:
         content = snapshot if isinstance(snapshot, bytes) else _read(Path(snapshot))
         request = control_pb2.RestoreSceneRequest(scene=self.name, snapshot=content)
         return self._connection.call("RestoreScene", request, timeout_s=LOAD_TIMEOUT_S).status
+
+    def edit(
+        self,
+        *,
+        ablate: Mapping[str, Iterable[int]] | None = None,
+        kept: float = 0.0,
+        sever: Mapping[str, Iterable[int] | None] | None = None,
+    ) -> stream_pb2.SceneStatus:
+        """Takes material out of elements, and breaks springs of attachments, before the next step.
+
+            scene.edit(ablate={"liver": [17, 18]})
+
+        All of it is done, or nothing. A reset heals everything.
+
+        Args:
+            ablate: for each body by name, its elements, numbered from 0. The scene must have `editing`.
+            kept: share of their material that is left, 0 to 1, less than now.
+            sever: for each attachment by name, its springs, numbered from 0; None: all that are whole.
+
+        Returns:
+            The status, with the mass and the volume that edits have removed.
+
+        Raises:
+            NotFoundError: no such body, element, attachment or spring.
+            InvalidArgumentError: a share outside 0 to 1, or something named twice.
+            FailedPreconditionError: an element or a spring that is gone already, the last element of a body, or a scene
+                without `editing`.
+            ResourceExhaustedError: no room for the surface that would come to light.
+        """
+        change = edit_pb2.SceneEdit()
+        for body, elements in (ablate or {}).items():
+            change.ablations.add(body=body, elements=elements, kept=[kept])
+        for attachment, springs in (sever or {}).items():
+            change.severings.add(attachment=attachment, springs=[] if springs is None else springs)
+        request = control_pb2.EditSceneRequest(scene=self.name, edit=change)
+        return self._connection.call("EditScene", request).status
 
     def adjust(
         self,

@@ -7,4 +7,5 @@ TEXTS = {
     "adjust": "Values of the scene were adjusted.",
     "restore": "A snapshot was restored.",
     "reset": "The scene was reset.",
+    "scene_edit": "Tissue was ablated or springs were severed.",
 }

@@ -1,0 +1,110 @@
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <cstring>
+#include <vector>
+
+#include <cuda_runtime.h>
+
+#include "backend/cuda/memory.cuh"
+#include "backend/edited_state.h"
+
+/// An edit of a scene on the device: the host lists what to write, one kernel writes it.
+///
+///   for_each_write ──> EditQueue, page-locked ──> scatter: a thread for each entry reads it and writes it
+///
+/// 1. The entries of an edit lie anywhere, so a copy for each would take far longer than all of them.
+/// 2. An edit runs between two launches of the step's graph, in the same stream. No buffer moves, so the graph stays as
+///    it was captured.
+namespace tensormass::backend::cuda {
+
+/// A value of at most four bytes, and where it goes.
+struct Scattered {
+  void* to;
+  std::uint32_t value;
+  std::uint32_t bytes;  ///< 1, 2 or 4
+};
+
+__global__ inline void scatter(const Scattered* entries, std::uint32_t count) {
+  const std::uint32_t i = blockIdx.x * blockDim.x + threadIdx.x;
+  if (i >= count) return;
+  const Scattered entry = entries[i];
+  if (entry.bytes == 4) *static_cast<std::uint32_t*>(entry.to) = entry.value;
+  if (entry.bytes == 2) *static_cast<std::uint16_t*>(entry.to) = static_cast<std::uint16_t>(entry.value);
+  if (entry.bytes == 1) *static_cast<std::uint8_t*>(entry.to) = static_cast<std::uint8_t>(entry.value);
+}
+template <class Real>
+__global__ void hold_rows(const view::SceneView<Real> scene, const std::uint32_t* rows, std::uint32_t count) {
+  const std::uint32_t i = blockIdx.x * blockDim.x + threadIdx.x;
+  if (i < count) hold_row(scene, rows[i]);
+}
+/// moves: [count, 2] from, to; a triangle may move more than once, so each thread makes all of them in order
+template <class Real>
+__global__ void move_slips(const view::SceneView<Real> scene, const std::uint32_t* moves, std::uint32_t count) {
+  const std::uint32_t i = blockIdx.x * blockDim.x + threadIdx.x;
+  if (i >= slips_of_triangle(scene.contact)) return;
+  for (std::uint32_t m = 0; m < count; ++m) move_slip(scene.contact, i, moves[2 * m], moves[2 * m + 1]);
+}
+
+/// Collects entries and numbers in page-locked memory and launches the kernels that read them there.
+class EditQueue {
+ public:
+  /// editable: false if the scene never changes; it then has no memory.
+  explicit EditQueue(bool editable) : entries_(editable ? kEntries : 0), numbers_(editable ? kNumbers : 0) {}
+
+  /// Starts an edit: waits for the kernels of the last one, which read the same memory.
+  void begin(cudaStream_t stream) {
+    if (running_ || numbers_running_) check(cudaStreamSynchronize(stream), "edit");
+    running_ = numbers_running_ = false;
+    used_ = 0;
+  }
+  void write(void* to, const void* from, std::size_t bytes, cudaStream_t stream) {
+    for (std::size_t at = 0; at < bytes; at += 4) {
+      if (used_ == entries_.size()) flush(stream);
+      Scattered& entry = entries_.data()[used_++];
+      entry = {static_cast<char*>(to) + at, 0, static_cast<std::uint32_t>(std::min<std::size_t>(bytes - at, 4))};
+      std::memcpy(&entry.value, static_cast<const char*>(from) + at, entry.bytes);
+    }
+  }
+  /// Launches what has been collected.
+  void end(cudaStream_t stream) {
+    if (used_ == 0) return;
+    const auto count = static_cast<std::uint32_t>(used_);
+    scatter<<<(count + kThreads - 1) / kThreads, kThreads, 0, stream>>>(entries_.data(), count);
+    check(cudaGetLastError(), "edit");
+    running_ = true;
+  }
+  /// Calls launch(numbers, count) with numbers in page-locked memory, part by part; each part has whole groups.
+  template <class Launch>
+  void with_numbers(const std::uint32_t* from, std::size_t count, std::size_t group, cudaStream_t stream,
+                    const Launch& launch) {
+    const std::size_t most = numbers_.size() / group * group;
+    for (std::size_t at = 0; at < count; at += most) {
+      if (numbers_running_) check(cudaStreamSynchronize(stream), "edit");
+      const std::size_t part = std::min(most, count - at);
+      std::copy_n(from + at, part, numbers_.data());
+      launch(numbers_.data(), static_cast<std::uint32_t>(part / group));
+      check(cudaGetLastError(), "edit");
+      numbers_running_ = true;
+    }
+  }
+  static constexpr unsigned kThreads = 128;
+
+ private:
+  static constexpr std::size_t kEntries = std::size_t{1} << 15, kNumbers = std::size_t{1} << 13;
+
+  void flush(cudaStream_t stream) {
+    end(stream);
+    check(cudaStreamSynchronize(stream), "edit");
+    running_ = false;
+    used_ = 0;
+  }
+
+  Pinned<Scattered> entries_;
+  Pinned<std::uint32_t> numbers_;
+  std::size_t used_ = 0;
+  bool running_ = false, numbers_running_ = false;  // kernels may still read that memory
+};
+
+}  // namespace tensormass::backend::cuda

@@ -1,0 +1,320 @@
+#include <algorithm>
+#include <array>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "core/assert.h"
+#include "model/edit.h"
+
+/// The surfaces of a scene that is edited: what tools can touch, and what clients see.
+///
+///   an element goes ──> its faces that were in sight: their triangles go
+///                  └──> faces of the elements behind it come to light: new triangles
+///
+/// The contact surface has no gaps: the last triangle of a patch takes the place of one that goes. What clients see is
+/// append-only: triangles die where they are, and new ones come at the end.
+namespace tensormass::model {
+
+namespace {
+
+using mesh::kNone;
+
+}  // namespace
+
+Result<void> Editor::check_surfaces(const Model& m, std::span<const Ablation> ablations) const {
+  if (!has_contact() && !has_clients()) return {};
+  const std::size_t patches = m.layout.patch_count, rows = m.layout.row_count;
+  const auto goes = [&](std::uint32_t element) { return named_[element] == 2 * check_number_ + 1; };
+  const auto for_each_change = [&](const auto& visit) {  // visit(piece, whether it comes)
+    for (const Ablation& one : ablations) {
+      if (!goes(one.element)) continue;
+      for (const std::uint32_t face : tables().faces[one.element]) {
+        const std::uint32_t behind = tables().face_behind[face];
+        const bool in_sight = behind == kNone || is_gone(tables().face_element[behind]);
+        if (!in_sight && goes(tables().face_element[behind])) continue;
+        const std::uint32_t changed = in_sight ? face : behind;
+        for (std::uint32_t p = tables().pieces.begin[changed]; p < tables().pieces.begin[changed + 1]; ++p) {
+          visit(p, !in_sight);
+        }
+      }
+    }
+  };
+  std::size_t new_triangles = 0, new_vertices = 0;
+  for_each_change([&](std::uint32_t piece, bool comes) {
+    const auto& corners = tables().pieces.items[piece];
+    const std::int32_t by = comes ? 1 : -1;
+    change_[m.layout.patch_of_row(corners[0])] += by;
+    for (const std::uint32_t row : corners) {
+      change_[patches + row] += by;
+      if (comes && visible_vertex_[row] == kNone && change_[patches + rows + row]++ == 0) ++new_vertices;
+    }
+    if (comes) ++new_triangles;
+  });
+  bool fits = true;
+  const ContactSurface& contact = m.contact;
+  for_each_change([&](std::uint32_t piece, bool) {
+    const auto& corners = tables().pieces.items[piece];
+    const std::uint32_t patch = m.layout.patch_of_row(corners[0]);
+    if (has_contact()) {
+      const auto room = [](std::uint32_t begin, std::uint32_t end) { return static_cast<std::int64_t>(end) - begin; };
+      fits = fits && room(contact.triangles_end[patch], contact.patch_triangles[patch + 1]) >= change_[patch];
+      for (const std::uint32_t row : corners) {
+        const std::uint32_t v = surface_vertex_[row];
+        const std::int64_t left = v == kNone ? std::int64_t{kRoomOfNewVertex}
+                                             : room(contact.incidence_end[v], contact.incidence_begin[v + 1]);
+        fits = fits && left >= change_[patches + row];
+      }
+    }
+  });
+  for_each_change([&](std::uint32_t piece, bool) {
+    const auto& corners = tables().pieces.items[piece];
+    change_[m.layout.patch_of_row(corners[0])] = 0;
+    for (const std::uint32_t row : corners) change_[patches + row] = change_[patches + rows + row] = 0;
+  });
+  if (!fits) {
+    return fail(ErrorCode::kResourceExhausted,
+                "the contact surface has no room for what comes to light: too many triangles meet in one place; ablate "
+                "the loose elements there too, or reset the scene");
+  }
+  if (!has_clients()) return {};
+  if (appended_triangles_ + new_triangles > tables().max_new_triangles) {
+    return fail(
+        ErrorCode::kResourceExhausted,
+        fmt::format("the visible surface would have {} new triangles, more than scene.editing.max_new_triangles "
+                    "= {}; raise it, or reset the scene",
+                    appended_triangles_ + new_triangles, tables().max_new_triangles));
+  }
+  if (m.visible.appended_count + new_vertices > tables().max_new_vertices) {
+    return fail(
+        ErrorCode::kResourceExhausted,
+        fmt::format("the visible surface would have {} new vertices, more than scene.editing.max_new_vertices = "
+                    "{}; raise it, or reset the scene",
+                    m.visible.appended_count + new_vertices, tables().max_new_vertices));
+  }
+  return {};
+}
+
+/// Takes away what elements that went showed, then shows what lies behind them.
+void Editor::write_surfaces(Model& m) {
+  if (went_.empty() || (!has_contact() && !has_clients())) return;
+  vertices_.clear();
+  for (const std::uint32_t element : went_) {
+    for (const std::uint32_t face : tables().faces[element]) hide(m, face);
+  }
+  for (const std::uint32_t element : went_) {
+    for (const std::uint32_t face : tables().faces[element]) {
+      const std::uint32_t behind = tables().face_behind[face];
+      if (behind != kNone && !is_gone(tables().face_element[behind])) expose(m, behind);
+    }
+  }
+  for (const std::uint32_t vertex : vertices_) {
+    const std::size_t begin = m.contact.incidence_begin[vertex], end = m.contact.incidence_end[vertex];
+    for (std::size_t i = begin; i < end; ++i) find_neighbours(m, m.contact.incidence[4 * i]);
+    // All of its room: entries that were written may lie behind the end by now.
+    add(EditBuffer::kIncidence, 4 * begin, 4 * (m.contact.incidence_begin[vertex + 1] - begin));
+    add(EditBuffer::kIncidenceEnd, vertex, 1);
+  }
+  if (has_clients()) ++surface_revision_;
+}
+
+void Editor::hide(Model& m, std::uint32_t face) {
+  const std::size_t body = m.body_of_element(tables().face_element[face]);
+  for (std::uint32_t p = tables().pieces.begin[face]; p < tables().pieces.begin[face + 1]; ++p) {
+    if (piece_triangle_[p] != kNone) remove_triangle(m, p);
+    if (piece_visible_[p] == kNone) continue;
+    std::vector<std::uint32_t>& dead = surfaces_[body].dead_triangles;
+    dead.insert(std::lower_bound(dead.begin(), dead.end(), piece_visible_[p]), piece_visible_[p]);
+    piece_visible_[p] = kNone;
+  }
+}
+
+void Editor::expose(Model& m, std::uint32_t face) {
+  const std::uint32_t element = tables().face_element[face];
+  for (std::uint32_t p = tables().pieces.begin[face]; p < tables().pieces.begin[face + 1]; ++p) {
+    if (has_contact()) add_triangle(m, p, element);
+    if (!has_clients()) continue;
+    const std::size_t b = m.body_of_element(element);
+    const BodyModel& body = m.bodies[b];
+    BodySurface& surface = surfaces_[b];
+    mesh::Triangle triangle;
+    for (std::size_t c = 0; c < 3; ++c) {
+      const std::uint32_t row = tables().pieces.items[p][c];
+      if (visible_vertex_[row] == kNone) {
+        visible_vertex_[row] = body.vertex_count + static_cast<std::uint32_t>(surface.appended_vertices.size());
+        const std::size_t point = std::size_t{m.visible.count()} + m.visible.appended_count++;
+        surface.appended_vertices.push_back(static_cast<std::uint32_t>(point));
+        for (std::size_t i = 0; i < 4; ++i) {
+          m.visible.rows[4 * point + i] = row;
+          m.visible.weights[4 * point + i] = i == 0 ? 1 : 0;
+        }
+        add(EditBuffer::kVisibleRows, 4 * point, 4);
+        add(EditBuffer::kVisibleWeights, 4 * point, 4);
+      }
+      triangle[c] = visible_vertex_[row];
+    }
+    piece_visible_[p] = static_cast<std::uint32_t>(body.triangles.size() + surface.appended_triangles.size());
+    surface.appended_triangles.push_back(triangle);
+    ++appended_triangles_;
+  }
+}
+
+void Editor::list_triangle(std::uint32_t triangle) {
+  const std::size_t t = triangle;
+  add(EditBuffer::kTriangleRows, 3 * t, 3);
+  add(EditBuffer::kTriangleAreas, t, 1);
+  add(EditBuffer::kTriangleModuli, 2 * t, 2);
+  add(EditBuffer::kCornerVertices, 3 * t, 3);
+}
+
+void Editor::touch_vertex(std::uint32_t vertex) {
+  if (std::exchange(vertex_met_[vertex], number_) != number_) vertices_.push_back(vertex);
+}
+
+/// Takes a piece out of the contact surface. The last triangle of the patch takes its place.
+void Editor::remove_triangle(Model& m, std::uint32_t piece) {
+  ContactSurface& contact = m.contact;
+  const std::uint32_t t = std::exchange(piece_triangle_[piece], kNone);
+  const std::uint32_t patch = m.layout.patch_of_row(contact.triangle_rows[3 * std::size_t{t}]);
+  const auto entry_of = [&](std::uint32_t vertex, std::uint32_t triangle) {
+    std::uint32_t i = contact.incidence_begin[vertex];
+    while (contact.incidence[4 * std::size_t{i}] != triangle) ++i;
+    TM_ASSERT(i < contact.incidence_end[vertex], "a surface vertex lists the triangles around it");
+    return contact.incidence.begin() + 4 * std::ptrdiff_t{i};
+  };
+  for (std::size_t c = 0; c < 3; ++c) {
+    const std::uint32_t vertex = contact.vertex_of_corner[3 * std::size_t{t} + c];
+    const auto entry = entry_of(vertex, t);
+    const auto last = contact.incidence.begin() + 4 * (std::ptrdiff_t{contact.incidence_end[vertex]} - 1);
+    std::copy(last, last + 4, entry);
+    --contact.incidence_end[vertex];
+    touch_vertex(vertex);
+  }
+  const std::uint32_t last = --contact.triangles_end[patch];
+  add(EditBuffer::kTrianglesEnd, patch, 1);
+  if (last == t) return;
+  for (std::size_t c = 0; c < 3; ++c) {
+    const std::uint32_t vertex = contact.vertex_of_corner[3 * std::size_t{last} + c];
+    *entry_of(vertex, last) = t;
+    touch_vertex(vertex);
+    contact.vertex_of_corner[3 * std::size_t{t} + c] = vertex;
+    contact.triangle_rows[3 * std::size_t{t} + c] = contact.triangle_rows[3 * std::size_t{last} + c];
+  }
+  contact.triangle_area[t] = contact.triangle_area[last];
+  for (std::size_t c = 0; c < 2; ++c) {
+    contact.triangle_moduli[2 * std::size_t{t} + c] = contact.triangle_moduli[2 * std::size_t{last} + c];
+  }
+  triangle_piece_[t] = triangle_piece_[last];
+  piece_triangle_[triangle_piece_[t]] = t;
+  edit_.moved_triangles.emplace_back(last, t);
+  list_triangle(t);
+}
+
+/// Puts a piece at the end of the triangles of its patch.
+void Editor::add_triangle(Model& m, std::uint32_t piece, std::uint32_t element) {
+  ContactSurface& contact = m.contact;
+  const auto& rows = tables().pieces.items[piece];
+  const std::uint32_t patch = m.layout.patch_of_row(rows[0]), t = contact.triangles_end[patch]++;
+  TM_ASSERT(t < contact.patch_triangles[patch + 1], "the edit was checked");
+  add(EditBuffer::kTrianglesEnd, patch, 1);
+  Vec3<double> x[3];
+  for (std::uint32_t c = 0; c < 3; ++c) {
+    const std::uint32_t vertex = surface_vertex(m, rows[c]);
+    contact.triangle_rows[3 * std::size_t{t} + c] = rows[c];
+    contact.vertex_of_corner[3 * std::size_t{t} + c] = vertex;
+    const std::uint32_t entry = contact.incidence_end[vertex]++;
+    TM_ASSERT(entry < contact.incidence_begin[vertex + 1], "the edit was checked");
+    const std::array<std::uint32_t, 4> incidence{t, c, m.layout.slot(rows[c], rows[(c + 1) % 3]),
+                                                 m.layout.slot(rows[c], rows[(c + 2) % 3])};
+    std::copy(incidence.begin(), incidence.end(), contact.incidence.begin() + 4 * std::ptrdiff_t{entry});
+    touch_vertex(vertex);
+    x[c] = view::load3<double>(m.rest.data(), rows[c]);
+  }
+  contact.triangle_area[t] = 0.5 * (x[1] - x[0]).cross(x[2] - x[0]).norm();
+  for (std::size_t c = 0; c < 2; ++c) {
+    contact.triangle_moduli[2 * std::size_t{t} + c] = tables().moduli[2 * std::size_t{element} + c];
+  }
+  piece_triangle_[piece] = t;
+  triangle_piece_[t] = piece;
+  edit_.moved_triangles.emplace_back(kNone, t);
+  list_triangle(t);
+}
+
+/// Returns the surface vertex of a row; a row that had none gets the next one of its patch.
+std::uint32_t Editor::surface_vertex(Model& m, std::uint32_t row) {
+  std::uint32_t& vertex = surface_vertex_[row];
+  if (vertex != kNone) return vertex;
+  const std::uint32_t patch = m.layout.patch_of_row(row);
+  vertex = m.contact.surface_end[patch]++;
+  TM_ASSERT(vertex < m.contact.patch_surface[patch + 1], "a patch has room for a vertex at each of its rows");
+  m.contact.surface_rows[vertex] = row;
+  m.contact.incidence_end[vertex] = m.contact.incidence_begin[vertex];
+  add(EditBuffer::kSurfaceEnd, patch, 1);
+  add(EditBuffer::kSurfaceRows, vertex, 1);
+  return vertex;
+}
+
+/// Finds the neighbours of a triangle across its edges, as mesh::Surface::neighbours has them.
+void Editor::find_neighbours(Model& m, std::uint32_t triangle) {
+  ContactSurface& contact = m.contact;
+  const std::uint32_t* rows = &contact.triangle_rows[3 * std::size_t{triangle}];
+  for (std::size_t side = 0; side < 3; ++side) {
+    const std::uint32_t from = rows[side], to = rows[(side + 1) % 3];
+    const std::uint32_t vertex = contact.vertex_of_corner[3 * std::size_t{triangle} + side];
+    std::uint32_t met = 0, neighbour = view::kNoTriangle;
+    for (std::size_t i = contact.incidence_begin[vertex]; i < contact.incidence_end[vertex]; ++i) {
+      const std::uint32_t other = contact.incidence[4 * i], corner = contact.incidence[4 * i + 1];
+      if (other == triangle) continue;
+      const std::uint32_t* const of_other = &contact.triangle_rows[3 * std::size_t{other}];
+      const bool runs_back = of_other[(corner + 2) % 3] == to, runs_along = of_other[(corner + 1) % 3] == to;
+      if (runs_back || runs_along) ++met;
+      if (runs_back && of_other[corner] == from) neighbour = other;
+    }
+    contact.triangle_neighbours[3 * std::size_t{triangle} + side] = met == 1 ? neighbour : view::kNoTriangle;
+  }
+  add(EditBuffer::kTriangleNeighbours, 3 * std::size_t{triangle}, 3);
+}
+
+const ModelEdit& Editor::heal_surfaces(Model& m) {
+  edit_.clear();
+  if (has_contact() && piece_triangle_ != tables().piece_triangle) {
+    m.contact = tables().contact;
+    const std::size_t triangles = m.contact.triangle_count(), vertices = m.contact.surface_rows.size();
+    add(EditBuffer::kTriangleRows, 0, 3 * triangles);
+    add(EditBuffer::kTriangleNeighbours, 0, 3 * triangles);
+    add(EditBuffer::kTriangleAreas, 0, triangles);
+    add(EditBuffer::kTriangleModuli, 0, 2 * triangles);
+    add(EditBuffer::kCornerVertices, 0, 3 * triangles);
+    add(EditBuffer::kTrianglesEnd, 0, m.layout.patch_count);
+    add(EditBuffer::kSurfaceRows, 0, vertices);
+    add(EditBuffer::kSurfaceEnd, 0, m.layout.patch_count);
+    add(EditBuffer::kIncidence, 0, m.contact.incidence.size());
+    add(EditBuffer::kIncidenceEnd, 0, vertices);
+    piece_triangle_ = tables().piece_triangle;
+    surface_vertex_ = tables().surface_vertex;
+    std::fill(triangle_piece_.begin(), triangle_piece_.end(), kNone);
+    for (std::uint32_t p = 0; p < piece_triangle_.size(); ++p) {
+      if (piece_triangle_[p] != kNone) triangle_piece_[piece_triangle_[p]] = p;
+    }
+  }
+  bool changed = false;
+  for (BodySurface& surface : surfaces_) {
+    changed = changed || !surface.dead_triangles.empty();
+    surface.dead_triangles.clear();
+    surface.appended_vertices.clear();
+    surface.appended_triangles.clear();
+  }
+  if (!changed) return edit_;
+  piece_visible_ = tables().piece_visible;
+  visible_vertex_ = tables().visible_vertex;
+  const std::size_t first = 4 * std::size_t{m.visible.count()}, count = 4 * std::size_t{m.visible.appended_count};
+  std::fill_n(m.visible.rows.begin() + static_cast<std::ptrdiff_t>(first), count, 0u);
+  std::fill_n(m.visible.weights.begin() + static_cast<std::ptrdiff_t>(first), count, 0.0);
+  add(EditBuffer::kVisibleRows, first, count);
+  add(EditBuffer::kVisibleWeights, first, count);
+  m.visible.appended_count = appended_triangles_ = 0;
+  ++surface_revision_;
+  return edit_;
+}
+
+}  // namespace tensormass::model

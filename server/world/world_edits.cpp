@@ -1,0 +1,64 @@
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "world/world.h"
+
+/// Edits of a world between two steps.
+namespace tensormass::world {
+
+Result<void> World::check_springs(std::span<const std::uint32_t> springs) const {
+  std::vector<bool> named(broken_.size(), false);
+  for (const std::uint32_t spring : springs) {
+    if (spring >= broken_.size()) {
+      return fail(ErrorCode::kNotFound,
+                  fmt::format("spring {} does not exist; the scene has {} springs, from 0 on", spring, broken_.size()));
+    }
+    if (named[spring]) return invalid(fmt::format("spring {} is named twice; name it once", spring));
+    named[spring] = true;
+    if ((broken_bits_[spring / 8] >> spring % 8 & 1) != 0) {
+      return fail(ErrorCode::kFailedPrecondition,
+                  fmt::format("spring {} is broken already; only a reset mends it", spring));
+    }
+  }
+  return {};
+}
+
+Result<void> World::edit(std::span<const model::Ablation> ablations, std::span<const std::uint32_t> springs) {
+  if (!editor_ && !ablations.empty()) {
+    return fail(ErrorCode::kFailedPrecondition,
+                "the scene has no room for ablation; load it with scene.editing, an empty message is enough");
+  }
+  if (editor_) TM_RETURN_IF_ERROR(editor_->check(*model_, ablations));
+  TM_RETURN_IF_ERROR(check_springs(springs));
+  severed_.clear();
+  for (const std::uint32_t spring : springs) severed_.severed.push_back(model_->ties.spring_places[spring]);
+  if (!springs.empty()) state_->apply(severed_);
+  if (!ablations.empty()) {
+    const std::uint32_t revision = editor_->surface_revision();
+    state_->apply(editor_->ablate(*edited_, ablations));
+    if (editor_->surface_revision() != revision) take_edited_surfaces();
+  }
+  if (!broken_.empty()) read_broken();
+  return {};
+}
+
+/// Takes over a visible surface that an edit has changed.
+void World::take_edited_surfaces() {
+  enclosure_.take(*model_, editor_->surfaces());
+  if (model_->visible.count() > 0) state_->gather_visible();
+}
+
+/// Makes the scene what edits have left elsewhere.
+void World::take_shares(const model::Editor::Shares& shares) {
+  if (!editor_) return;
+  editor_->take(*edited_, shares, [&](const model::ModelEdit& edit) { state_->apply(edit); });
+  enclosure_.take(*model_, editor_->surfaces());
+}
+
+Result<void> World::check_shares(const SavedBesideTissue& saved) const {
+  if (!editor_ || saved.shares.ablations.empty()) return {};
+  return editor_->check_shares(*model_, saved.shares);
+}
+
+}  // namespace tensormass::world
