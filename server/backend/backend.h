@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <exception>
+#include <limits>
 #include <memory>
 #include <span>
 #include <string>
@@ -41,6 +42,10 @@ struct ToolForce {
   std::array<double, limits::kMaxToolJoints> joints{};  ///< force of the tissue along each joint [N m or N]
   /// E and E / (1 − ν²) of the tissue that it touches, means weighted by pressure [Pa]; 0: it touches nothing.
   double young_modulus_pa = 0, plane_strain_modulus_pa = 0;
+  /// The contact triangle that was closest to the tip of a thin tool where the step began, and its distance from the
+  /// tip's centre; mesh::kNone and infinity: there is none.
+  std::uint32_t tip_triangle = mesh::kNone;
+  double tip_distance_m = std::numeric_limits<double>::infinity();
 };
 
 /// A tool in a step: poses of its shape (model::ToolModel::placed) at the end and at the start.

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <span>
 
@@ -52,7 +53,7 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
   const std::size_t patches = forces.empty() ? 0 : loads.size() / forces.size();
   for (std::size_t tool = 0; tool < forces.size(); ++tool) {
     ToolForce sum;
-    double pressed_n = 0, moduli[2] = {0, 0};
+    double pressed_n = 0, moduli[2] = {0, 0}, tip_squared = std::numeric_limits<double>::infinity();
     for (std::size_t patch = 0; patch < patches; ++patch) {
       const auto& load = loads[tool * patches + patch];
       for (int c = 0; c < 3; ++c) {
@@ -63,11 +64,17 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
       for (std::size_t j = 0; j < sum.joints.size(); ++j) sum.joints[j] += static_cast<double>(load.joints[j]);
       pressed_n += static_cast<double>(load.pressed_n);
       for (std::size_t i = 0; i < 2; ++i) moduli[i] += static_cast<double>(load.pressed_moduli[i]);
+      const double squared = static_cast<double>(load.tip_squared);
+      if (load.tip_triangle != view::kNoTriangle && squared < tip_squared) {
+        tip_squared = squared;
+        sum.tip_triangle = load.tip_triangle;
+      }
     }
     if (pressed_n > 0) {
       sum.young_modulus_pa = moduli[0] / pressed_n;
       sum.plane_strain_modulus_pa = moduli[1] / pressed_n;
     }
+    sum.tip_distance_m = std::sqrt(tip_squared);
     forces[tool] = sum;
   }
 }

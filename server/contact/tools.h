@@ -81,6 +81,7 @@ TM_HOST_DEVICE void query_core_point(Team& team, const view::PatchesView& patche
   auto& closest = contact.closest[std::size_t{place} * patches.patch_count + team.patch()];
   closest.distance_squared = best;
   closest.side = side;
+  closest.triangle = best_triangle;
 }
 
 /// Finds where the triangles of this patch cross the core between a core point and the next.
@@ -574,10 +575,16 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
   team.patch_sum(sums);
   if (team.leads_patch()) {
     auto& load = contact.tool_loads[std::size_t{t} * patches.patch_count + team.patch()];
-    load = {{sums[0], sums[1], sums[2]}, {sums[3], sums[4], sums[5]}, {sums[6], sums[7], sums[8]}, {}, 0, {}};
+    load = {{sums[0], sums[1], sums[2]}, {sums[3], sums[4], sums[5]}, {sums[6], sums[7], sums[8]}, {}, 0, {}, 0, 0};
     for (std::size_t j = 0; j < kJoints; ++j) load.joints[j] = sums[kOfJoints + j];
     load.pressed_n = sums[kPressed];
     for (std::size_t i = 0; i < 2; ++i) load.pressed_moduli[i] = sums[kPressed + 1 + i];
+    load.tip_triangle = view::kNoTriangle;
+    if constexpr (Kind::kCorePoints > 0) {
+      const auto& tip = contact.closest[std::size_t{tool.first_core_point} * patches.patch_count + team.patch()];
+      load.tip_squared = tip.distance_squared;
+      load.tip_triangle = tip.triangle;
+    }
   }
 }
 

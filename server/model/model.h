@@ -227,6 +227,7 @@ struct AdmittedBody {
   std::uint32_t element_begin = 0, element_count = 0;  ///< range in the scene's elements
   std::uint32_t component_count = 0;
   double volume_m3 = 0, mass_kg = 0, min_dihedral_angle_deg = 0;
+  double ablation_j_per_m3 = 0;  ///< energy that takes the material out of a volume
   bool has_color = false;
   Vec3<double> color_srgb = Vec3<double>::Zero();
 
@@ -282,6 +283,7 @@ struct ToolModel {
   std::uint32_t first_contact_point = 0;           ///< its contact points among those of all tools
   std::size_t first_sample = 0;                    ///< its place in Model::tool_samples, if it is sampled
   bool fixed = false;                              ///< an obstacle: it takes no poses
+  double cautery_w = 0;                            ///< power that it brings into tissue at level 1; 0: it burns nothing
   std::span<const physics::ToolParameter> joints;  ///< kJoints of the kind
   double radius_m = 0;                             ///< for a solid half its thickness
   double reach_m = 0;  ///< for a solid the largest distance of its surface from the origin of the shape's frame

@@ -39,6 +39,9 @@ constexpr double kSteepestContact = 0.9;
 constexpr double kDefaultCouplingNPerM = 1000;
 /// A hand pushes an instrument by up to about 30 N before it slips.
 constexpr double kDefaultMaxForceN = 30, kDefaultMaxTorqueNM = 1, kDefaultMaxJointLoad = 1;
+/// Share of its power that a monopolar instrument brings into tissue; the rest heats what lies around
+/// (docs/choosing.md).
+constexpr double kDefaultCauteryEfficiency = 0.3;
 
 /// The field of a kind's message. Throws if the protocol lacks it: every scene with that kind then fails.
 const FieldDescriptor& field_of(const Message& kind, std::string_view name) {
@@ -197,6 +200,19 @@ Result<void> read_largest_loads(const v1::Tool& tool, const std::string& where, 
   return {};
 }
 
+/// Reads the power of a tool that burns tissue. Its tip must be a point of a core, because there it burns.
+Result<void> read_cautery(const v1::Tool& tool, const std::string& where, ToolModel& out) {
+  if (!tool.has_cautery()) return {};
+  if (out.core_points == 0 || out.fixed) {
+    return invalid(fmt::format("{}.cautery: only a thin tool that moves has a tip that burns", where));
+  }
+  TM_ASSIGN_OR_RETURN(power, read_number(tool.cautery().power_w(), 1e-3, 1e4, where + ".cautery.power_w"));
+  const double given = tool.cautery().has_efficiency() ? tool.cautery().efficiency() : kDefaultCauteryEfficiency;
+  TM_ASSIGN_OR_RETURN(efficiency, read_number(given, 1e-3, 1, where + ".cautery.efficiency"));
+  out.cautery_w = power * efficiency;
+  return {};
+}
+
 /// all: the tools before this one. The others: as in read_tools.
 Result<ToolModel> read_tool(const v1::Tool& tool, std::span<const Eigen::Vector3d> nodes, double dt_s, ReadTools& all) {
   const std::string where = fmt::format("tool '{}'", tool.name());
@@ -231,6 +247,7 @@ Result<ToolModel> read_tool(const v1::Tool& tool, std::span<const Eigen::Vector3
   out.keeps_force = keeps;
   TM_RETURN_IF_ERROR(read_coupling(tool, where, out));
   TM_RETURN_IF_ERROR(read_largest_loads(tool, where, out));
+  TM_RETURN_IF_ERROR(read_cautery(tool, where, out));
   TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));
   TM_ASSIGN_OR_RETURN(orientation, read_orientation(tool.orientation(), where + ".orientation"));
   out.initial_pose = {position, orientation, {}};

@@ -187,6 +187,15 @@ Result<std::array<double, limits::kMaxToolJoints>> read_joints(const google::pro
   return out;
 }
 
+Result<double> read_level(double level, const ToolModel& tool, std::string_view where) {
+  TM_ASSIGN_OR_RETURN(share, read_number(level, 0, 1, where));
+  if (share > 0 && !(tool.cautery_w > 0)) {
+    return invalid(
+        fmt::format("{}: tool '{}' has no power; give it Tool.cautery, or leave level out", where, tool.name));
+  }
+  return share;
+}
+
 Result<double> read_number(double value, double low, double high, std::string_view where) {
   if (value >= low && value <= high) return value;
   return invalid(fmt::format("{}: {} is not within [{:g}, {:g}]", where, value, low, high));

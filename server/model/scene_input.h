@@ -49,6 +49,9 @@ Result<std::array<double, limits::kMaxToolJoints>> read_joints(const google::pro
                                                                std::span<const physics::ToolParameter> joints,
                                                                std::string_view where);
 
+/// Reads the level of a pose: the share of its power that a tool uses, 0 to 1. Only a tool with power has one.
+Result<double> read_level(double level, const ToolModel& tool, std::string_view where);
+
 /// Reads a number in [low, high]. Refuses NaN.
 Result<double> read_number(double value, double low, double high, std::string_view where);
 /// Reads a method of contact. Returns whether contacts keep their force from step to step.

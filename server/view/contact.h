@@ -38,6 +38,7 @@ struct ClosestTriangle {
   Real distance_squared;
   Real side;                           // +1: the point is outside the tissue, −1: inside
   Real first_crossing, last_crossing;  // 0 at this core point, 1 at the next; first > last: the patch has no crossing
+  std::uint32_t triangle;              // kNoTriangle: the patch has none
 };
 
 /// Force and torque of a patch's tissue on a tool.
@@ -49,6 +50,8 @@ struct ToolLoad {
   Real joints[limits::kMaxToolJoints];  // [N m or N] force along each joint
   Real pressed_n;                       // Σ N over the contacts that push
   Real pressed_moduli[2];               // Σ N E and Σ N E / (1 − ν²) over them [N Pa]
+  Real tip_squared;                     // squared distance from core point 0 to the patch's closest triangle [m²]
+  std::uint32_t tip_triangle;           // that triangle; kNoTriangle: none, or the tool is no thin one
 };
 
 template <class Real>

@@ -153,7 +153,7 @@ void Loop::take_poses() {
     if (newest == nullptr) continue;
     ReceivedPose received = *newest;
     if (!received.has_joints) received.pose.joint_values = world_->tool_target(i).joint_values;
-    world_->set_tool_target(i, received.pose, received.stamp, received.valid_for_s);
+    world_->set_tool_target(i, received.pose, received.stamp, received.valid_for_s, received.level);
     expiry_[i] = expiry_of(received);
     if (i == leading_tool()) {
       if (std::exchange(leading_, i) != i) hand_ = HandPhase(clock_.period());

@@ -53,7 +53,7 @@ Result<v1::ReplaySceneResponse> Loop::do_replay(std::span<const Replay::Step> st
     }
     world_->set_cg_limit(step.cg_limit);
     for (const auto& [tool, received] : step.poses) {
-      world_->set_tool_target(tool, received.pose, received.stamp, received.valid_for_s);
+      world_->set_tool_target(tool, received.pose, received.stamp, received.valid_for_s, received.level);
       if (recording_) recording_->take_pose(tool, received);
     }
     const Clock::time_point begin = Clock::now();

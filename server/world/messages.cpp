@@ -141,6 +141,7 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
   out.set_claimed(reading.newest.claims && !reading.retired);
   out.set_touching(reading.touching);
   out.set_gives_way(reading.gives_way);
+  out.set_level(reading.level);
   out.set_recovering(reading.recovering);
   fill(reading.force_n, *out.mutable_force_n());
   fill(reading.torque_n_m, *out.mutable_torque_n_m());

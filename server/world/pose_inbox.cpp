@@ -83,6 +83,8 @@ Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose&
   if (!joints) return refuse(joints.error());
   const auto valid_for_s = read_validity(message, where);
   if (!valid_for_s) return refuse(valid_for_s.error());
+  const auto level = model::read_level(message.level(), tool, where + ".level");
+  if (!level) return refuse(level.error());
   const Clock::time_point expiry =
       message.has_valid_for_s()
           ? now + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(*valid_for_s))
@@ -102,7 +104,8 @@ Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose&
       {*position, *orientation, *joints},
       has_joints,
       {message.sequence(), message.client_time_ns(), message.client_id(), now, claim(message, source, now, expiry)},
-      *valid_for_s};
+      *valid_for_s,
+      *level};
   if (newest_.publish()) superseded_.fetch_add(1, std::memory_order_relaxed);
   received_.fetch_add(1, std::memory_order_relaxed);
   if (message.has_valid_for_s()) newest_arrival_.store(now.time_since_epoch().count());

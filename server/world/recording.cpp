@@ -206,6 +206,7 @@ void write_pose(const std::string& tool, const ReceivedPose& received, std::size
   } else if (std::isfinite(received.valid_for_s)) {
     out.set_valid_for_s(received.valid_for_s);
   }
+  out.set_level(received.level);
   out.set_sequence(received.stamp.sequence);
   out.set_client_time_ns(received.stamp.client_time_ns);
   out.set_client_id(received.stamp.client_id);
@@ -236,6 +237,8 @@ Result<ReceivedPose> read_pose(const v1::RecordedPose& message, const model::Too
                                            fmt::format("{}.valid_for_s", where)));
     out.valid_for_s = valid_for_s;
   }
+  TM_ASSIGN_OR_RETURN(level, model::read_level(message.level(), tool, fmt::format("{}.level", where)));
+  out.level = level;
   return out;
 }
 

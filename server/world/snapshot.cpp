@@ -107,7 +107,7 @@ Result<double> read_finite(double value, std::string_view where) {
 void write_tool(const World::Saved::Tool& tool, const model::ToolModel& model, v1::SnapshotTool& out) {
   const ToolMotion::Saved& motion = tool.motion;
   write_pose(model.name, {motion.pose, true, {}, kUntilTheNext}, model.joints.size(), *out.mutable_pose());
-  write_pose(model.name, {motion.target, true, tool.newest, motion.valid_for_s}, model.joints.size(),
+  write_pose(model.name, {motion.target, true, tool.newest, motion.valid_for_s, motion.level}, model.joints.size(),
              *out.mutable_target());
   out.set_fade(motion.fade);
   out.set_leaves(motion.leaves);
@@ -172,6 +172,7 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
   out.motion.pose = pose.pose;
   out.motion.target = target.pose;
   out.motion.valid_for_s = target.valid_for_s;
+  out.motion.level = target.level;
   out.motion.hand_m = pose.pose.position_m;
   out.motion.felt.position_m = pose.pose.position_m;
   if (model.mass_kg > 0) TM_RETURN_IF_ERROR(read_coupling(message, where, out.motion));

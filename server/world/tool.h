@@ -43,6 +43,7 @@ struct ReceivedPose {
   bool has_joints = true;  ///< else the joints stay as they are
   PoseStamp stamp;
   double valid_for_s = kUntilTheNext;  ///< in the time of the simulation
+  double level = 0;                    ///< share of its power that the tool uses, 0 to 1
 };
 
 /// A tool at the end of a step. Feedback, frames and the status all carry this.
@@ -62,6 +63,7 @@ struct ToolReading {
   bool retired = false;     ///< it touches nothing, because its newest pose has expired
   bool gives_way = false;   ///< it is not where the hand has moved it (hold.h)
   bool recovering = false;  ///< see World::recovering; or the tool comes back into contact after it
+  double level = 0;         ///< share of its power that it used in this step, 0 to 1
 };
 
 /// The motion of one tool, step by step.
@@ -87,9 +89,11 @@ class ToolMotion {
     comes_back_ = false;
     set_target(tool_->initial_pose, kUntilTheNext);
   }
-  void set_target(const Pose& target, double valid_for_s) {
+  /// level: share of its power that the tool uses while the target is valid, 0 to 1.
+  void set_target(const Pose& target, double valid_for_s, double level = 0) {
     target_ = target;
     valid_for_s_ = valid_for_s;
+    level_ = level;
     current_.target_age_s = 0;
   }
   /// Starts a step of length dt_s: moves the tool towards its target, at most at its maximum speed.
@@ -117,6 +121,9 @@ class ToolMotion {
   bool leaves() const { return current_.leaves; }
   /// Puts a tool that touches nothing at a pose. It waits there while its presence rises.
   void come_out(const Pose& pose, double dt_s);
+  /// Share of its power that the tool uses, 0 to 1. None once its pose has expired: a dead client must not burn tissue.
+  /// None either while it fades out of tissue or back into it, which is not where the hand is.
+  double level() const { return present() && !leaves() ? level_ : 0; }
   /// Whether all of its contact stiffness is there.
   bool present() const { return current_.fade == 1; }
   /// Whether a recovery took the tool out of contact, and its contact stiffness still rises.
@@ -136,6 +143,7 @@ class ToolMotion {
     double valid_for_s = kUntilTheNext;
     double fade = 1;          ///< fourth root of the presence
     double target_age_s = 0;  ///< time since the target was set
+    double level = 0;         ///< as of ReceivedPose
     bool leaves = false;      ///< see ToolMotion::leave
     bool comes_back = false;  ///< see ToolMotion::comes_back
     // Only for a tool with a mass.
@@ -146,13 +154,14 @@ class ToolMotion {
     Hold::Saved hold;
   };
   Saved save() const {
-    return {current_.pose,   target_,      valid_for_s_,    current_.fade,         current_.target_age_s,
-            current_.leaves, comes_back_,  current_.hand_m, current_.hand_m_per_s, current_.velocity_m_per_s,
-            felt_,           hold_.saved()};
+    return {current_.pose,   target_,     valid_for_s_,    current_.fade,         current_.target_age_s,     level_,
+            current_.leaves, comes_back_, current_.hand_m, current_.hand_m_per_s, current_.velocity_m_per_s, felt_,
+            hold_.saved()};
   }
   void restore(const Saved& saved) {
     target_ = saved.target;
     valid_for_s_ = saved.valid_for_s;
+    level_ = saved.level;
     current_ = {saved.pose, saved.hand_m,       saved.hand_m_per_s, saved.velocity_m_per_s,
                 saved.fade, saved.target_age_s, saved.leaves};
     felt_ = saved.felt;
@@ -208,6 +217,7 @@ class ToolMotion {
   const model::ToolModel* tool_;
   Pose target_;  // the newest pose that a client sent
   double valid_for_s_ = kUntilTheNext;
+  double level_ = 0;
   State current_;
   State before_;             // at the start of the step
   FeltContact felt_;         // at the end of the last step

@@ -107,6 +107,7 @@ void World::read_tools() {
     reading.recovering = recovering_ || tools_[i].comes_back();
     reading.retired = tools_[i].retired() && !tools_[i].leaves();
     reading.touching = touches({&forces_[i], 1});
+    reading.level = tools_[i].level();
     reading.force_n = forces_[i].force_n;
     reading.torque_n_m = forces_[i].torque_n_m + tools_[i].lever().cross(forces_[i].force_n);
     reading.friction_n = forces_[i].friction_n;

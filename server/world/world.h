@@ -58,11 +58,11 @@ class World {
 
   /// Returns the pose that a tool moves to.
   const Pose& tool_target(std::size_t tool) const { return tools_[tool].target(); }
-  /// stamp: of the pose's message; the tool's next reading repeats it. valid_for_s: as in ReceivedPose.
+  /// stamp: of the pose's message; the tool's next reading repeats it. valid_for_s, level: as in ReceivedPose.
   void set_tool_target(std::size_t tool, const Pose& pose, const PoseStamp& stamp = {},
-                       double valid_for_s = kUntilTheNext) {
+                       double valid_for_s = kUntilTheNext, double level = 0) {
     TM_ASSERT(tool < tools_.size(), "a pose is for a tool of the scene");
-    tools_[tool].set_target(pose, valid_for_s);
+    tools_[tool].set_target(pose, valid_for_s, level);
     readings_[tool].newest = stamp;
   }
 

@@ -411,7 +411,7 @@ TEST(CoreDepths, ChangesItsSignAtTheCrossings) {
   const auto depths = [&](double start_side, double end_side) {
     // [core point, patch]; one patch has the crossing at 0.8, the other the one at 0.2.
     view::ClosestTriangle<double> closest[] = {
-        {0.04, start_side, 0.8, 0.8}, {0.09, 1, 0.2, 0.2}, {0.01, end_side, 2, -1}, {0.09, 1, 2, -1}};
+        {0.04, start_side, 0.8, 0.8, 0}, {0.09, 1, 0.2, 0.2, 1}, {0.01, end_side, 2, -1, 0}, {0.09, 1, 2, -1, 1}};
     view::ContactView<double> contact{};
     contact.closest = closest;
     return CoreDepths<physics::Capsule, double>(patches, contact, tool);

@@ -6,7 +6,7 @@
       - {time_s: 2, position_m: {x: 0.1, z: 0.06}}
 
 Between two poses the tool accelerates and brakes smoothly (minimum jerk). A pose without orientation or joint_values
-has those of the one before it. The last pose should be the first one again; the tool goes on from there without a
+has those of the one before it. `level: 1` lets a tool with cautery burn from this pose to the next one. The last pose should be the first one again; the tool goes on from there without a
 pause.
 """
 
@@ -42,6 +42,8 @@ class HandPose(NamedTuple):
     position_m: FloatArray
     orientation: FloatArray
     joint_values: FloatArray
+    #: Share of its power that the tool uses, 0 to 1.
+    level: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class HandScript:
     """Poses of a tool over a period.
 
     times_s: ascending from 0, [poses]. positions_m: [poses, 3]. orientations: unit quaternions w, x, y, z, [poses, 4].
-    joint_values: [poses, joints].
+    joint_values: [poses, joints]. levels: [poses], each until the next pose.
     """
 
     tool: str
@@ -57,6 +59,7 @@ class HandScript:
     positions_m: FloatArray
     orientations: FloatArray
     joint_values: FloatArray
+    levels: FloatArray
 
     @staticmethod
     def read(path: Path) -> HandScript:
@@ -99,6 +102,7 @@ class HandScript:
             np.array([(m.position_m.x, m.position_m.y, m.position_m.z) for m in messages]),
             np.array([_unit_quaternion(m, f"{path}: poses[{i}].orientation") for i, m in enumerate(messages)]),
             np.array([m.joint_values for m in messages], dtype=np.float64),
+            np.array([m.level for m in messages]),
         )
 
     def at(self, time_s: float) -> HandPose:
@@ -111,6 +115,7 @@ class HandScript:
             (1 - smooth) * self.positions_m[i] + smooth * self.positions_m[i + 1],
             _between(self.orientations[i], self.orientations[i + 1], smooth),
             (1 - smooth) * self.joint_values[i] + smooth * self.joint_values[i + 1],
+            float(self.levels[i]),
         )
 
 
@@ -147,9 +152,9 @@ def run(args: argparse.Namespace) -> int:
 def _read_pose(pose: object, where: str, path: str) -> tuple[float, stream_pb2.ToolPose]:
     names = set(pose) if isinstance(pose, dict) else set()
     needed = {"time_s", "position_m"}
-    if not isinstance(pose, dict) or not needed <= names <= needed | {"orientation", "joint_values"}:
+    if not isinstance(pose, dict) or not needed <= names <= needed | {"orientation", "joint_values", "level"}:
         raise InvalidArgumentError(
-            f"{where}: {path}: expected time_s, position_m and perhaps orientation and joint_values"
+            f"{where}: {path}: expected time_s, position_m and perhaps orientation, joint_values and level"
         )
     time_s = pose["time_s"]
     if isinstance(time_s, bool) or not isinstance(time_s, int | float) or not 0 <= time_s < math.inf:

@@ -16,7 +16,7 @@ from tensormass._shared.errors import InternalError
 from tensormass._shared.vectors import Vector, finite_numbers, quaternion, vector3
 from tensormass.v1 import control_pb2, recording_pb2
 
-Pose = tuple[Vector, Vector | None, Vector]
+Pose = tuple[Vector, Vector | None, Vector] | tuple[Vector, Vector | None, Vector, float]
 """Position [3] m, orientation w, x, y, z or None, joint values [rad or m]."""
 
 # The daemon takes 1000 (server/core/recording_limits.h).
@@ -69,11 +69,12 @@ def requests(
 
 
 def _recorded(
-    tool: str, position_m: Vector, orientation: Vector | None, joint_values: Vector
+    tool: str, position_m: Vector, orientation: Vector | None, joint_values: Vector, level: float = 0.0
 ) -> recording_pb2.RecordedPose:
     return recording_pb2.RecordedPose(
         tool=tool,
         position_m=vector3(position_m, "position"),
         orientation=quaternion((1.0, 0.0, 0.0, 0.0) if orientation is None else orientation, "orientation"),
         joint_values=finite_numbers(joint_values, "joint_values"),
+        level=finite_numbers([level], "level")[0],
     )

@@ -30,7 +30,9 @@ class PoseSequence:
         self._session = secrets.randbits(64) | 1
         self.last = 0
 
-    def next(self, position_m: Vector, orientation: Vector | None, joint_values: Vector = ()) -> stream_pb2.ToolPose:
+    def next(
+        self, position_m: Vector, orientation: Vector | None, joint_values: Vector = (), level: float = 0.0
+    ) -> stream_pb2.ToolPose:
         """Makes the message of the next pose, stamped with the monotonic clock."""
         position, rotation = vector3(position_m, "position"), quaternion(orientation, "orientation")
         joints = finite_numbers(joint_values, "joint_values")
@@ -44,6 +46,7 @@ class PoseSequence:
             orientation=rotation,
             joint_values=joints,
             valid_for_s=self._valid_for_s,
+            level=finite_numbers([level], "level")[0],
         )
 
 
@@ -132,7 +135,13 @@ class PoseSender(Stream):
         """Returns the sequence of the last pose sent. `Feedback.pose_sequence` repeats it."""
         return self._sequence.last
 
-    def send(self, position_m: Vector, orientation: Vector | None = None, joint_values: Vector = ()) -> int:
+    def send(
+        self,
+        position_m: Vector,
+        orientation: Vector | None = None,
+        joint_values: Vector = (),
+        level: float = 0.0,
+    ) -> int:
         """Sends a pose and returns its sequence. The arguments are those of `SceneHandle.move_tool`.
 
         Raises:
@@ -140,5 +149,5 @@ class PoseSender(Stream):
             UnavailableError: the sender or its connection was closed.
         """
         self._check_open()
-        self._put(self._sequence.next(position_m, orientation, joint_values).SerializeToString())
+        self._put(self._sequence.next(position_m, orientation, joint_values, level).SerializeToString())
         return self._sequence.last

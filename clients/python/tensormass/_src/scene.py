@@ -409,6 +409,8 @@ class Scene:
         max_force_n: float | None = None,
         max_torque_n_m: float | None = None,
         max_joint_load: float | None = None,
+        cautery_power_w: float | None = None,
+        cautery_efficiency: float | None = None,
         **shape: float | Vector | meshes.TriangleSurface,
     ) -> scene_pb2.Tool:
         """Adds a tool of any kind and returns its message. It stays where it is until its first pose.
@@ -426,6 +428,9 @@ class Scene:
             max_force_n: largest force on the hand [N]; above it the tool gives way and stays behind the hand. None: 30.
             max_torque_n_m: likewise, torque about `position_m` [N m]. None: 1.
             max_joint_load: likewise, load of a joint [N m or N]. None: 1.
+            cautery_power_w: lets the tip burn tissue while the level of its pose is above zero; the scene needs
+                `editing`. None: it burns nothing.
+            cautery_efficiency: share of that power which reaches the element at the tip. None: 0.3.
             shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`, or
                 `surface=TriangleSurface(vertices, triangles)` for a mesh.
 
@@ -449,6 +454,8 @@ class Scene:
                 max_force_n=max_force_n,
                 max_torque_n_m=max_torque_n_m,
                 max_joint_load=max_joint_load,
+                cautery_power_w=cautery_power_w,
+                cautery_efficiency=cautery_efficiency,
                 shape=shape,
             )
         )

@@ -120,7 +120,7 @@ class SceneHandle:
 
         Args:
             poses: position [3] m at the end of each step, orientation w, x, y, z (None is the identity), and a value
-                for each joint of the tool [rad or m].
+                for each joint of the tool [rad or m]; perhaps its level as a fourth.
 
         Raises:
             NotFoundError: no such tool.
@@ -390,7 +390,12 @@ class SceneHandle:
     # --- tools --------------------------------------------------------------------------------------------------------
 
     def move_tool(
-        self, name: str, position_m: Vector, orientation: Vector | None = None, joint_values: Vector = ()
+        self,
+        name: str,
+        position_m: Vector,
+        orientation: Vector | None = None,
+        joint_values: Vector = (),
+        level: float = 0.0,
     ) -> None:
         """Moves a tool from the next step on, no faster than its maximum speed.
 
@@ -401,12 +406,14 @@ class SceneHandle:
             position_m: [3] m.
             orientation: quaternion w, x, y, z; None is the identity.
             joint_values: one for each joint of the tool [rad or m]; empty: the joints stay as they are.
+            level: share of its power that a tool with `cautery` uses until its next pose, 0 to 1.
 
         Raises:
             NotFoundError: no such tool.
-            InvalidArgumentError: a value that is not a finite number, or a joint beyond its range.
+            InvalidArgumentError: a value that is not a finite number, a joint beyond its range, or a level of a tool
+                without power.
         """
-        pose = self._poses.setdefault(name, PoseSequence()).next(position_m, orientation, joint_values)
+        pose = self._poses.setdefault(name, PoseSequence()).next(position_m, orientation, joint_values, level)
         self._connection.call("MoveTool", control_pb2.MoveToolRequest(scene=self.name, tool=name, pose=pose))
 
     def feedback(self, name: str) -> Feedback:

@@ -32,6 +32,8 @@ def make_tool(
     max_force_n: float | None,
     max_torque_n_m: float | None,
     max_joint_load: float | None,
+    cautery_power_w: float | None,
+    cautery_efficiency: float | None,
     shape: dict[str, float | Vector | TriangleSurface],
 ) -> scene_pb2.Tool:
     """Returns a tool of a kind. See Scene.add_tool."""
@@ -57,6 +59,10 @@ def make_tool(
         tool.contact_method = cast(
             "scene_pb2.ContactMethod", enum_number(scene_pb2.ContactMethod.DESCRIPTOR, contact_method, where)
         )
+    if cautery_power_w is not None:
+        tool.cautery.CopyFrom(scene_pb2.Cautery(power_w=cautery_power_w, efficiency=cautery_efficiency))
+    elif cautery_efficiency is not None:
+        raise InvalidArgumentError(f"{name}: cautery_efficiency needs cautery_power_w")
     message = getattr(tool, kind)
     message.SetInParent()
     for field, value in shape.items():
