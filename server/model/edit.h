@@ -95,6 +95,9 @@ class Editor {
   void write_all(Model& m);
 
   double kept(std::uint32_t element) const { return kept_[element]; }
+  double volume_m3(std::uint32_t element) const { return tables().volumes[element]; }
+  /// Returns the element that a contact triangle is a side of; mesh::kNone: the triangle is room.
+  std::uint32_t element_behind(std::uint32_t triangle) const;
   double removed_mass_kg() const { return removed_mass_kg_; }
   double removed_volume_m3() const { return removed_volume_m3_; }
   /// [body] empty if the scene has no frames

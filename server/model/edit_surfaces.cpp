@@ -317,4 +317,11 @@ const ModelEdit& Editor::heal_surfaces(Model& m) {
   return edit_;
 }
 
+std::uint32_t Editor::element_behind(std::uint32_t triangle) const {
+  if (triangle >= triangle_piece_.size() || triangle_piece_[triangle] == kNone) return kNone;
+  const std::vector<std::uint32_t>& begin = tables().pieces.begin;
+  const auto after = std::upper_bound(begin.begin(), begin.end(), triangle_piece_[triangle]);
+  return tables().face_element[static_cast<std::size_t>(after - begin.begin()) - 1];
+}
+
 }  // namespace tensormass::model

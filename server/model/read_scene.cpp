@@ -204,6 +204,13 @@ Result<Settings> read_settings(const v1::Scene& scene) {
   TM_ASSIGN_OR_RETURN(schedule, read_schedule(scene.gravity_schedule(), "scene.gravity_schedule"));
   out.gravity_schedule = std::move(schedule);
   if (scene.has_editing()) TM_RETURN_IF_ERROR(read_editing(scene.editing(), out));
+  for (const v1::Tool& tool : scene.tools()) {
+    if (!tool.has_cautery() || scene.has_editing()) continue;
+    return invalid(
+        fmt::format("tool '{}'.cautery: the scene has no room for what it burns away; give it scene.editing, "
+                    "an empty message is enough",
+                    tool.name()));
+  }
   return out;
 }
 

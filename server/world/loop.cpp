@@ -30,12 +30,13 @@ Loop::Loop(std::string backend, std::unique_ptr<World> world, GenerationPointer 
       generation_(std::move(generation)),
       budget_(model()),
       outputs_(*world_, counts_),
+      surface_(model()),
       status_(world_->shared_model(), std::move(backend), budget_, inboxes_, outputs_, counts_),
       clock_(model().rate_hz),
       hand_(clock_.period()),
       expiry_(model().tools.size(), Clock::time_point::max()) {
   status_.take_stamp(outputs_.stamp());
-  status_.take_edits(*world_);
+  take_edits();
   outputs_.publish(true);
   thread_ = std::thread([this] { run(); });
 }
@@ -218,6 +219,7 @@ bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
   }
   status_.take_step(*world_);
   outputs_.note_guard();
+  take_edits();
   if (!good) {
     TM_ASSERT(world_->guard_event() != nullptr, "a step that failed left a guard event");
     stop_with_fault(to_text(*world_->guard_event(), world_->model()));
@@ -357,17 +359,31 @@ Result<v1::SceneStatus> Loop::do_edit(const v1::SceneEdit& change, EditPointer e
         ErrorCode::kResourceExhausted,
         fmt::format("scene '{}' is recorded and had world::kMaxChangesOfStep = {} edits since its last step; make "
                     "a step first",
-                    model_.name, kMaxChangesOfStep));
+                    model().name, kMaxChangesOfStep));
   }
-  TM_ASSIGN_OR_RETURN(read, read_scene_edit(model_, change, world_->broken_springs()));
+  TM_ASSIGN_OR_RETURN(read, read_scene_edit(model(), change, world_->broken_springs()));
   TM_RETURN_IF_ERROR(world_->edit(read.ablations, read.springs));
   if (recording_) recording_->take_edit({std::move(edit), world_->step_count()});
-  status_.take_edits(*world_);
+  take_edits();
   if (status_.state() != v1::SceneStatus::STATE_RUNNING) {  // else the next step brings a frame
     outputs_.gather_frame();
     outputs_.publish(true);
   }
   return status_.make();
+}
+
+/// Tells clients what edits have left, and of a surface that is another one.
+void Loop::take_edits() {
+  if (world_->editor() == nullptr) return;
+  status_.take_edits(*world_);
+  SurfaceChangesPointer changes = surface_.take(model(), *world_->editor());
+  if (changes == nullptr) return;
+  outputs_.set_changes(std::move(changes));
+  const double removed_m3 = world_->editor()->removed_volume_m3(),
+               more_m3 = removed_m3 - std::exchange(told_m3_, removed_m3);
+  if (more_m3 > 0) {
+    outputs_.add_event({.kind = EventKind::kAblated, .step = world_->step_count(), .value = more_m3});
+  }
 }
 
 /// Clears what was said about the state before, and publishes the new one.
@@ -381,7 +397,7 @@ void Loop::go_on_from_new_state() {
   std::fill(expiry_.begin(), expiry_.end(), Clock::time_point::max());
   outputs_.take_step(Clock::now());
   status_.take_stamp(outputs_.stamp());
-  status_.take_edits(*world_);
+  take_edits();
   outputs_.publish(true);
 }
 

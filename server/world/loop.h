@@ -187,6 +187,7 @@ class Loop {
   void measure_pose_ages(Clock::time_point now);
   void record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected);
   void go_on_from_new_state();
+  void take_edits();
   bool lockstep_frame_due(Clock::time_point now, bool last);
   void diagnose();
   void set_state(State next);
@@ -210,6 +211,8 @@ class Loop {
   IterationBudget budget_;
   const std::shared_ptr<SceneCounts> counts_ = std::make_shared<SceneCounts>();
   LoopOutputs outputs_;
+  SurfaceChangesMaker surface_;
+  double told_m3_ = 0;  // removed volume of the last event
   LoopStatus status_;
   std::mutex mutex_;
   std::condition_variable wake_;

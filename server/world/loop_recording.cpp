@@ -124,6 +124,7 @@ Result<void> Loop::do_swap(std::unique_ptr<World>& next, GenerationPointer gener
   if (was_faulted) clock_.restart(Clock::now());
   if (recording_) recording_->take_edit({std::move(edit), world_->step_count()});
   outputs_.take_step(Clock::now());
+  take_edits();
   outputs_.add_event({.kind = EventKind::kAdjusted, .step = world_->step_count()});
   if (status_.state() == v1::SceneStatus::STATE_PAUSED) outputs_.release_tools();
   status_.take_stamp(outputs_.stamp());

@@ -124,8 +124,8 @@ std::vector<std::uint32_t> order_by(std::size_t count, const Key& key) {
 }
 
 /// Triangles in the order of a NodeState. The layout sorts them by the row of their first corner, and those of one row
-/// stay in the order of the boundary. Edits move triangles within the room of their patch, so a scene with editing keeps
-/// the layout's order.
+/// stay in the order of the boundary. Edits move triangles within the room of their patch, so a scene with editing
+/// keeps the layout's order.
 std::vector<std::uint32_t> order_of_triangles(const Model& m) {
   if (m.edit_tables) return order_by(m.contact.triangle_count(), [](std::uint32_t triangle) { return triangle; });
   return order_by(m.contact.triangle_count(), [&](std::uint32_t triangle) {

@@ -121,6 +121,7 @@ void write_tool(const World::Saved::Tool& tool, const model::ToolModel& model, v
   for (std::size_t i = 0; i < model.joints.size(); ++i) out.add_joint_loads(tool.force.joints[i]);
   for (std::size_t f = 0; f < Hold::freedoms(model); ++f) out.add_shown_stiffness(motion.hold.stiffness[f]);
   out.set_reach_m(motion.hold.reach_m);
+  out.set_unspent_j(tool.unspent_j);
   if (!(model.mass_kg > 0)) return;
   write_vector(motion.hand_m, *out.mutable_hand_m());
   write_vector(motion.hand_m_per_s, *out.mutable_hand_m_per_s());
@@ -207,6 +208,8 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
   }
   TM_ASSIGN_OR_RETURN(reach, model::read_number(message.reach_m(), 0, kMaxReal, where + ".reach_m"));
   out.motion.hold.reach_m = reach;
+  TM_ASSIGN_OR_RETURN(unspent, model::read_number(message.unspent_j(), 0, kMaxReal, where + ".unspent_j"));
+  out.unspent_j = unspent;
   return out;
 }
 
@@ -382,9 +385,10 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
                     message.scene(), model.name));
   }
   if (message.slips_layout_hash() != layout_of_slips(model)) {
-    return fail(ErrorCode::kFailedPrecondition,
-                "snapshot: the scene has editing and contacts that remember something, and was split otherwise; load it "
-                "on the same kind of backend with the same number of threads");
+    return fail(
+        ErrorCode::kFailedPrecondition,
+        "snapshot: the scene has editing and contacts that remember something, and was split otherwise; load it "
+        "on the same kind of backend with the same number of threads");
   }
   LoopState out;
   World::Saved& world = out.world;

@@ -1,10 +1,13 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <vector>
 
 #include "mesh/mesh.h"
+#include "model/edit.h"
+#include "model/model.h"
 
 namespace tensormass::world {
 
@@ -30,5 +33,25 @@ struct SurfaceChanges {
 
 /// Shared with the threads that send them, so nobody may change them any more.
 using SurfaceChangesPointer = std::shared_ptr<const SurfaceChanges>;
+
+/// Makes the changes of one scene, edit by edit. Keeps as many as readers may hold at once, so that a step in which a
+/// tool burns an element away allocates nothing.
+class SurfaceChangesMaker {
+ public:
+  /// Reserves for all that the scene's editing allows; nothing if it has none.
+  explicit SurfaceChangesMaker(const model::Model& model);
+
+  /// Returns the present changes if the surface is not as at the last call, else nullptr.
+  SurfaceChangesPointer take(const model::Model& model, const model::Editor& editor);
+
+ private:
+  /// The newest, and two mailboxes of three slots.
+  static constexpr std::size_t kKept = 8;
+
+  std::array<std::shared_ptr<SurfaceChanges>, kKept> kept_;
+  std::uint32_t revision_ = 0;
+  const model::Editor* editor_ = nullptr;  // whose revision was taken last
+  std::uint32_t taken_ = 0;
+};
 
 }  // namespace tensormass::world

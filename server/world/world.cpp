@@ -64,6 +64,8 @@ World::World(std::shared_ptr<const model::Model> loaded, std::unique_ptr<model::
       broken_bits_((broken_.size() + 7) / 8) {
   if (model_->edit_tables != nullptr) editor_.emplace(*model_);
   severed_.severed.reserve(broken_.size());
+  unspent_j_.assign(tools_.size(), 0.0);
+  spared_.assign(tools_.size(), mesh::kNone);
   if (!model_->initial_displacement.empty() || !model_->initial_velocity.empty()) write_start();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
@@ -92,6 +94,8 @@ void World::place_tools() {
     readings_[i] = {};
     readings_[i].pose = tools_[i].pose();
     readings_[i].hand_m = tools_[i].hand_m();
+    unspent_j_[i] = 0;
+    spared_[i] = mesh::kNone;
   }
 }
 
@@ -189,6 +193,7 @@ bool World::step(bool gather_visible) {
   // No spring heals between two steps, so an equal count means the same springs.
   if (last_.broken_springs != broken_count_) read_broken();
   read_tools();
+  burn();
   return true;
 }
 
@@ -524,7 +529,7 @@ World::Copied World::copy() {
   projection_.save(out);
   if (editor_) out.shares = editor_->shares();
   for (std::size_t i = 0; i < tools_.size(); ++i) {
-    out.tools.push_back({tools_[i].save(), readings_[i].newest, published_[i]});
+    out.tools.push_back({tools_[i].save(), readings_[i].newest, published_[i], unspent_j_[i]});
   }
   return out;
 }
@@ -552,6 +557,8 @@ void World::restore(const Copied& saved) {
     forces_[i] = saved.tools[i].force;
     readings_[i] = {};
     readings_[i].newest = saved.tools[i].newest;
+    unspent_j_[i] = saved.tools[i].unspent_j;
+    spared_[i] = mesh::kNone;
   }
   read_tools();
   // Reading them has made tools with a mass feel their contact a second time.

@@ -72,6 +72,7 @@ class World {
       ToolMotion::Saved motion;
       PoseStamp newest;          ///< stamp of the newest pose, without its arrival
       backend::ToolForce force;  ///< at the end of the last step
+      double unspent_j = 0;      ///< energy that its tip has brought along for the next element
     };
     std::uint64_t step_count = 0;
     std::vector<Tool> tools;
@@ -169,6 +170,8 @@ class World {
   Result<void> check_springs(std::span<const std::uint32_t> springs) const;
   void take_edited_surfaces();
   void take_shares(const model::Editor::Shares& shares);
+  void apply(std::span<const model::Ablation> ablations);
+  void burn();
   double diagnose_elastic_energy();
   void place_tools();
   void read_tools();
@@ -241,6 +244,8 @@ class World {
   std::unique_ptr<backend::SceneState> state_;
   std::optional<model::Editor> editor_;  // no value: the scene has no editing
   model::ModelEdit severed_;             // springs of the present edit
+  std::vector<double> unspent_j_;        // [tool] see Saved::Tool
+  std::vector<std::uint32_t> spared_;    // [tool] element that the tip may not burn; mesh::kNone: there is none
   std::vector<ToolMotion> tools_;
   std::vector<backend::ToolForce> published_;  // [tool], at the end of the last step
   bool contact_jumped_ = false;                // in the last step, or its last part

@@ -34,13 +34,50 @@ Result<void> World::edit(std::span<const model::Ablation> ablations, std::span<c
   severed_.clear();
   for (const std::uint32_t spring : springs) severed_.severed.push_back(model_->ties.spring_places[spring]);
   if (!springs.empty()) state_->apply(severed_);
-  if (!ablations.empty()) {
-    const std::uint32_t revision = editor_->surface_revision();
-    state_->apply(editor_->ablate(*edited_, ablations));
-    if (editor_->surface_revision() != revision) take_edited_surfaces();
-  }
+  if (!ablations.empty()) apply(ablations);
   if (!broken_.empty()) read_broken();
   return {};
+}
+
+/// Ablates elements; the editor has checked them.
+void World::apply(std::span<const model::Ablation> ablations) {
+  const std::uint32_t revision = editor_->surface_revision();
+  state_->apply(editor_->ablate(*edited_, ablations));
+  if (editor_->surface_revision() != revision) take_edited_surfaces();
+}
+
+/// Lets tools with power burn the element at their tip, at the end of a step: the next one has less of it.
+///
+///   energy     level · power · efficiency · dt, and what the element before it did not take
+///   share      falls by energy / (ablation_j_per_m3 · volume)
+///
+/// So the volume that is burnt away is the energy over ablation_j_per_m3, to within one element. An element that may
+/// not go, as the last one of its body, is spared.
+void World::burn() {
+  if (!editor_) return;
+  for (std::size_t i = 0; i < tools_.size(); ++i) {
+    const model::ToolModel& tool = model_->tools[i];
+    const double power_w = tool.cautery_w * readings_[i].level;
+    if (!(power_w > 0)) {
+      unspent_j_[i] = 0;
+      continue;
+    }
+    const backend::ToolForce& felt = forces_[i];
+    if (!readings_[i].touching || !(felt.tip_distance_m <= tool.radius_m)) continue;
+    const std::uint32_t element = editor_->element_behind(felt.tip_triangle);
+    if (element == mesh::kNone || element == spared_[i]) continue;
+    const model::BodyModel& body = model_->bodies[model_->body_of_element(element)];
+    const double whole_j = body.ablation_j_per_m3 * editor_->volume_m3(element);
+    const double left = editor_->kept(element) - (unspent_j_[i] + power_w * model_->dt_s) / whole_j;
+    const model::Ablation burnt{element, std::max(left, 0.0)};
+    if (!editor_->check(*model_, {&burnt, 1})) {
+      spared_[i] = element;
+      unspent_j_[i] = 0;
+      continue;
+    }
+    apply({&burnt, 1});
+    unspent_j_[i] = std::clamp(-left, 0.0, 1.0) * whole_j;
+  }
 }
 
 /// Takes over a visible surface that an edit has changed.

@@ -1,0 +1,56 @@
+#include "world/surface_changes.h"
+
+#include <algorithm>
+
+#include "core/assert.h"
+
+namespace tensormass::world {
+
+namespace {
+/// v1::BodyChanges::Face of a face that comes to light where an element was burnt away.
+constexpr std::uint8_t kBurntFace = 2;
+}  // namespace
+
+SurfaceChangesMaker::SurfaceChangesMaker(const model::Model& model) {
+  if (!model.edit_tables) return;
+  const model::EditTables& tables = *model.edit_tables;
+  for (auto& kept : kept_) {
+    kept = std::make_shared<SurfaceChanges>();
+    kept->bodies.resize(model.bodies.size());
+    for (std::size_t b = 0; b < model.bodies.size(); ++b) {
+      BodyChanges& body = kept->bodies[b];
+      body.dead_triangles.reserve(model.bodies[b].triangles.size() + tables.max_new_triangles);
+      body.appended_vertices.reserve(tables.max_new_vertices);
+      body.appended_triangles.reserve(tables.max_new_triangles);
+      body.appended_kinds.reserve(tables.max_new_triangles);
+    }
+  }
+}
+
+SurfaceChangesPointer SurfaceChangesMaker::take(const model::Model& model, const model::Editor& editor) {
+  if (model.visible.count() == 0) return nullptr;
+  // A surface without an edit has the revision 0, also in a world that takes the place of another one.
+  if (editor.surface_revision() == (editor_ == &editor ? taken_ : 0) && (editor_ == &editor || revision_ == 0)) {
+    return nullptr;
+  }
+  editor_ = &editor;
+  taken_ = editor.surface_revision();
+  const auto free = std::find_if(kept_.begin(), kept_.end(), [](const auto& kept) { return kept.use_count() == 1; });
+  TM_ASSERT(free != kept_.end(), "readers hold fewer changes than are kept");
+  SurfaceChanges& changes = **free;
+  changes.revision = ++revision_;
+  changes.appended_vertex_count = model.visible.appended_count;
+  const std::span<const model::BodySurface> surfaces = editor.surfaces();
+  for (std::size_t b = 0; b < surfaces.size(); ++b) {
+    BodyChanges& body = changes.bodies[b];
+    body.dead_triangles = surfaces[b].dead_triangles;
+    body.appended_vertices = surfaces[b].appended_vertices;
+    // A frame has the ends of springs apart from its vertices.
+    for (std::uint32_t& vertex : body.appended_vertices) vertex -= model.visible.attachment_point_count();
+    body.appended_triangles = surfaces[b].appended_triangles;
+    body.appended_kinds.assign(body.appended_triangles.size(), kBurntFace);
+  }
+  return *free;
+}
+
+}  // namespace tensormass::world
