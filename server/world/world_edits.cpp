@@ -7,6 +7,12 @@
 /// Edits of a world between two steps.
 namespace tensormass::world {
 
+namespace {
+/// A tool touches with its tip if the closest triangle is this near to the tip's centre where the step began. Its shaft
+/// may touch elsewhere.
+constexpr double kTipReachRadii = 1.25;
+}  // namespace
+
 Result<void> World::check_springs(std::span<const std::uint32_t> springs) const {
   std::vector<bool> named(broken_.size(), false);
   for (const std::uint32_t spring : springs) {
@@ -63,7 +69,7 @@ void World::burn() {
       continue;
     }
     const backend::ToolForce& felt = forces_[i];
-    if (!readings_[i].touching || !(felt.tip_distance_m <= tool.radius_m)) continue;
+    if (!readings_[i].touching || !(felt.tip_distance_m <= kTipReachRadii * tool.radius_m)) continue;
     const std::uint32_t element = editor_->element_behind(felt.tip_triangle);
     if (element == mesh::kNone || element == spared_[i]) continue;
     const model::BodyModel& body = model_->bodies[model_->body_of_element(element)];
