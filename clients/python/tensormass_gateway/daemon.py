@@ -25,6 +25,9 @@ from tensormass_gateway.tasks import background
 
 log = logging.getLogger(__name__)
 
+#: Time for which a pose with power holds. The page repeats it more often [s].
+PEDAL_S = 0.5
+
 
 class Daemon:
     """The connection to a daemon: found over gRPC, followed over ZeroMQ, lost and found again."""
@@ -147,9 +150,16 @@ class Daemon:
         self._on_change()
 
     def move_tool(
-        self, watcher: Watcher, tool: str, position_m: Sequence[float], orientation_wxyz: Sequence[float] | None
+        self,
+        watcher: Watcher,
+        tool: str,
+        position_m: Sequence[float],
+        orientation_wxyz: Sequence[float] | None,
+        level: float = 0.0,
     ) -> None:
         """Sends a pose on behalf of `watcher`; without an orientation the daemon takes the identity.
+
+        With a level above zero the pose holds for PEDAL_S, because a browser that is gone must not burn on.
 
         A tool that a client of the bus claims is taken over, which only the control plane can do.
 
@@ -168,6 +178,8 @@ class Daemon:
             client_id=watcher.client_id,
             session=watcher.session,
             position_m=scene_pb2.Vector3(**dict(zip("xyz", position_m, strict=True))),
+            level=level,
+            valid_for_s=PEDAL_S if level > 0 else None,
         )
         if orientation_wxyz is not None:
             pose.orientation.CopyFrom(scene_pb2.Quaternion(**dict(zip("wxyz", orientation_wxyz, strict=True))))

@@ -416,7 +416,10 @@ class Gateway:
                     raise ProtocolError("position_m is not three finite numbers [m]")
                 given = request.get("orientation")
                 orientation = None if given is None else rotation(given)
-                self._daemon.move_tool(browser, read(request).pose.tool, position, orientation)
+                level = finite_numbers([request.get("level", 0)], 1)
+                if level is None or not 0 <= level[0] <= 1:
+                    raise ProtocolError("level is not a number from 0 to 1")
+                self._daemon.move_tool(browser, read(request).pose.tool, position, orientation, level[0])
             case _:
                 raise ProtocolError("a message's type or fields are unknown")
 

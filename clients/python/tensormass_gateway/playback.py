@@ -130,7 +130,12 @@ class Playback:
         """Does nothing: element fields are not recorded."""
 
     def move_tool(
-        self, watcher: Watcher, tool: str, position_m: Sequence[float], orientation_wxyz: Sequence[float] | None
+        self,
+        watcher: Watcher,
+        tool: str,
+        position_m: Sequence[float],
+        orientation_wxyz: Sequence[float] | None,
+        level: float = 0.0,
     ) -> None:
         raise ProtocolError("a recording takes no poses")
 

@@ -15,7 +15,7 @@ import { Controls, controlState } from "./panel/controls";
 import { Display } from "./panel/display";
 import { download } from "./panel/download";
 import { filmOf } from "./panel/film";
-import { listenToKeys } from "./panel/keys";
+import { holdKey, listenToKeys } from "./panel/keys";
 import { Toast } from "./panel/legend";
 import { MaterialPanel } from "./panel/material";
 import { Plots } from "./panel/plots";
@@ -105,6 +105,12 @@ listenToKeys({
     toast.hide();
     menus.forEach((menu) => (menu.open = false));
   },
+});
+let burning: Tile | null = null;
+holdKey("b", (down) => {
+  burning?.setPedal(false);
+  burning = down ? grid.selected : null;
+  burning?.setPedal(true);
 });
 find("#grid", HTMLButtonElement).addEventListener("click", () => grid.show(!grid.on));
 // A click beside a menu closes it.

@@ -153,6 +153,15 @@ describe("Connection", () => {
     ]);
   });
 
+  it("sends the level of a tool that burns", () => {
+    FakeSocket.last.open();
+    const pose = { name: "probe", positionM: [1, 2, 3], orientationWxyz: [1, 0, 0, 0] } as const;
+    connection.moveTool(pose, 0.5);
+    connection.moveTool(pose, 0);
+    const plain = { type: "pose", tool: "probe", position_m: [1, 2, 3], orientation: [1, 0, 0, 0] };
+    expect(FakeSocket.last.of("pose")).toEqual([{ ...plain, level: 0.5 }, plain]);
+  });
+
   it("returns the result of a command, or fails with the gateway's reason", async () => {
     FakeSocket.last.open();
     const loaded = connection.control({ action: "load", scene: "beam", lockstep: true });

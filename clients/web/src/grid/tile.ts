@@ -24,6 +24,9 @@ export interface TileEvents {
   onHand(tile: Tile): void;
 }
 
+/** Well below the time for which the gateway lets a pose with power hold. */
+const PEDAL_INTERVAL_MS = 100;
+
 export class Tile {
   readonly element: HTMLElement;
   readonly session: Session;
@@ -32,6 +35,10 @@ export class Tile {
   readonly #recovery: HTMLElement;
   readonly #pill: HTMLElement;
   #hand: { readonly hand: Hand; readonly tool: string | null } = { hand: "away", tool: null };
+  /** The tool that was moved last, and where to. */
+  #moved: { readonly tool: string; readonly centerM: Vector } | null = null;
+  /** The timer that repeats poses while the pedal is down; null: it is up. */
+  #pedal: ReturnType<typeof setInterval> | null = null;
 
   constructor(stage: Stage, address: Address, settings: Settings, events: TileEvents) {
     const template = find("#tile", HTMLTemplateElement).content;
@@ -58,7 +65,10 @@ export class Tile {
     });
     this.viewer = new Viewer(this.element, stage, this.session.store, settings, {
       onDrawn: (serverTimeNs, prepareMs, renderMs) => this.session.drawn(serverTimeNs, prepareMs, renderMs),
-      onToolMoved: (tool, centerM) => this.#moveTool(tool, centerM),
+      onToolMoved: (tool, centerM) => {
+        this.#moved = { tool, centerM };
+        this.#sendPose();
+      },
       onHand: (hand, tool) => {
         this.element.dataset.hand = hand;
         this.#hand = { hand, tool };
@@ -117,19 +127,37 @@ export class Tile {
     return at === null ? null : { x: left + at.x, y: top + at.y };
   }
 
+  /** Presses or releases the pedal: the tool that was moved last burns with its whole power, if it has some. */
+  setPedal(down: boolean): void {
+    if (down === (this.#pedal !== null)) {
+      return;
+    }
+    if (this.#pedal !== null) {
+      clearInterval(this.#pedal);
+    }
+    this.#pedal = down ? setInterval(() => this.#sendPose(), PEDAL_INTERVAL_MS) : null;
+    this.#sendPose();
+  }
+
   close(): void {
+    this.setPedal(false);
     this.session.close();
     this.viewer.dispose();
     this.element.remove();
   }
 
-  /** Sends the pose that brings the tool's sphere to `centerM` and keeps the tool's orientation. */
-  #moveTool(name: string, centerM: Vector): void {
+  /** Sends the pose that brings the moved tool's sphere to its place and keeps the tool's orientation. */
+  #sendPose(): void {
+    if (this.#moved === null) {
+      return;
+    }
+    const { tool: name, centerM } = this.#moved;
     const { topology, frame } = this.session.store;
     const shape = topology?.tools.find((tool) => tool.name === name);
     const state = frame?.tools.find((tool) => tool.name === name);
     if (shape !== undefined && state !== undefined) {
-      this.session.moveTool({ ...state, positionM: originFor(shape, state, centerM) });
+      const level = this.#pedal !== null && shape.burns ? 1 : 0;
+      this.session.moveTool({ ...state, positionM: originFor(shape, state, centerM) }, level);
     }
   }
 }

@@ -19,6 +19,22 @@ export function listenToKeys(actions: KeyActions): void {
   });
 }
 
+/** Calls `hold(true)` while a key is down. A page that loses the focus counts as a key that is released. */
+export function holdKey(key: string, hold: (down: boolean) => void): void {
+  window.addEventListener("keydown", (event) => {
+    const modified = event.ctrlKey || event.metaKey || event.altKey;
+    if (event.key.toLowerCase() === key && !modified && !event.repeat && !belongsToControl(event.target, key)) {
+      hold(true);
+    }
+  });
+  window.addEventListener("keyup", (event) => {
+    if (event.key.toLowerCase() === key) {
+      hold(false);
+    }
+  });
+  window.addEventListener("blur", () => hold(false));
+}
+
 /**
  * Space presses a button; a list or a slider takes letters and Home as well. Escape belongs to the page, and so do the
  * keys of a time line, whose handle has the focus after a drag.

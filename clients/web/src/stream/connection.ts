@@ -111,12 +111,13 @@ export class Connection {
     this.#sendChoice();
   }
 
-  /** Sends a pose of a tool. */
-  moveTool({ name, positionM, orientationWxyz }: Pick<ToolState, "name" | "positionM" | "orientationWxyz">): void {
-    this.#send({
-      case: "pose",
-      value: { tool: name, positionM: [...positionM], orientation: [...orientationWxyz] },
-    });
+  /**
+   * Sends a pose of a tool.
+   * @param level Share of its power that the tool uses, 0 to 1. Above zero the pose holds for half a second.
+   */
+  moveTool({ name, positionM, orientationWxyz }: Pick<ToolState, "name" | "positionM" | "orientationWxyz">, level = 0): void {
+    const pose = { tool: name, positionM: [...positionM], orientation: [...orientationWxyz] };
+    this.#send({ case: "pose", value: level > 0 ? { ...pose, level } : pose });
   }
 
   /** Sends a command. Fails with the reason of the gateway or the daemon. */

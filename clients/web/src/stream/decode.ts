@@ -89,6 +89,8 @@ export interface ToolShape {
   readonly solid: Solid | null;
   /** Whether it stays where it is. */
   readonly fixed: boolean;
+  /** Whether its tip has the power to burn tissue. */
+  readonly burns: boolean;
 }
 
 export type Solid =
@@ -262,6 +264,7 @@ export function decodeTopology(payload: Uint8Array, stream: StreamName = "topolo
       core: coreOf(where, tool.tool),
       solid: solidOf(where, tool.tool),
       fixed: tool.tool?.fixed ?? false,
+      burns: tool.tool?.cautery !== undefined,
     };
   });
   const { scene, version, attachmentPointCount } = message;

@@ -217,8 +217,9 @@ export class Session {
     return (await this.control({ action: "adjust", scene, changes })).adjustments ?? {};
   }
 
-  moveTool(pose: Pick<ToolState, "name" | "positionM" | "orientationWxyz">): void {
-    this.#connection.moveTool(pose);
+  /** @param level Share of its power that the tool uses, 0 to 1. */
+  moveTool(pose: Pick<ToolState, "name" | "positionM" | "orientationWxyz">, level = 0): void {
+    this.#connection.moveTool(pose, level);
   }
 
   setPaused(paused: boolean): void {
