@@ -273,6 +273,7 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
   auto runner = registry_.find(request->scene());
   if (!runner) return to_status(runner.error());
   const std::weak_ptr<world::Runner> scene = *runner;
+  const std::string who = Relay::name_of_peer(context->peer());  // a client that is gone has no name
   auto started = (*runner)->record({.check_every_steps = request->check_every_steps(), .reset = request->reset()});
   // A reader that is stuck in Write must not keep the loop of an unloaded scene alive.
   runner->reset();
@@ -311,7 +312,7 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
       losses->steps += static_cast<std::uint64_t>(response.steps_size());
       losses->checks += static_cast<std::uint64_t>(response.checks_size());
     }
-    log::warn("closed", {{"who", Relay::name_of_peer(context->peer())},
+    log::warn("closed", {{"who", who},
                          {"what", "tensormass.v1.Control/RecordScene"},
                          {"scene", request->scene()},
                          {"reason",
