@@ -2,6 +2,7 @@
 
 #include <sys/stat.h>
 
+#include <cstdint>
 #include <ctime>
 #include <utility>
 #include <vector>
@@ -12,6 +13,12 @@
 #include "core/secret_file.h"
 
 namespace tensormass::haptic {
+namespace {
+
+/// Keys are valid from so long before they were made, for clocks that differ. As in the SDK.
+constexpr std::int64_t kClockSkewS = 24 * 3600;
+
+}  // namespace
 
 Result<ClientKeys> read_client_keys(const std::string& path) {
   const auto refuse = [&](std::string_view what) { return invalid(fmt::format("--keys {}: {}", path, what)); };
@@ -33,11 +40,17 @@ Result<ClientKeys> read_client_keys(const std::string& path) {
     }
     *value = content[name].get<std::string>();
   }
-  if (!content.contains("expires_s") || !content["expires_s"].is_number_integer()) {
-    return refuse(fmt::format("lacks expires_s; {}", kGet));
+  for (const char* name : {"made_s", "expires_s"}) {
+    if (!content.contains(name) || !content[name].is_number_integer()) {
+      return refuse(fmt::format("lacks {}; {}", name, kGet));
+    }
   }
-  if (std::time(nullptr) >= content["expires_s"].get<std::int64_t>()) {
+  const auto now_s = static_cast<std::int64_t>(std::time(nullptr));
+  if (now_s >= content["expires_s"].get<std::int64_t>()) {
     return refuse("has expired; get new keys: tensormass keys renew NAME");
+  }
+  if (now_s < content["made_s"].get<std::int64_t>() - kClockSkewS) {
+    return refuse("made at a time that is in the future; set this machine's clock");
   }
   return keys;
 }

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <openssl/err.h>
 #include <openssl/pem.h>
 #include <openssl/x509.h>
 #include <nlohmann/json.hpp>
@@ -17,6 +18,7 @@
 #include "access/openssl_pointers.h"
 #include "core/log.h"
 #include "core/secret_file.h"
+#include "core/thread_name.h"
 
 namespace tensormass::access {
 namespace {
@@ -55,6 +57,16 @@ Result<void> check_certificate(const std::string& pem, const std::string& path, 
   return {};
 }
 
+/// Refuses a private key that cannot be read or is of another certificate.
+Result<void> check_private_key(const DaemonKeys& daemon, const std::string& path, std::string_view renew) {
+  const Certificate own(PEM_read_bio_X509(read_text(daemon.certificate_pem).get(), nullptr, nullptr, nullptr));
+  const PrivateKey key(PEM_read_bio_PrivateKey(read_text(daemon.private_key_pem).get(), nullptr, nullptr, nullptr));
+  const bool fits = own && key && X509_check_private_key(own.get(), key.get()) == 1;
+  ERR_clear_error();
+  if (fits) return {};
+  return invalid(fmt::format("--keys: {}: the private key is damaged or of another certificate; {}", path, renew));
+}
+
 }  // namespace
 
 Result<std::unique_ptr<KeyRing>> KeyRing::open(const std::string& folder) {
@@ -86,6 +98,7 @@ Result<std::unique_ptr<KeyRing>> KeyRing::open(const std::string& folder) {
   }
   TM_RETURN_IF_ERROR(check_certificate(daemon.certificate_pem, own, renew));
   TM_RETURN_IF_ERROR(check_certificate(daemon.authority_pem, own, init));
+  TM_RETURN_IF_ERROR(check_private_key(daemon, own, renew));
   const std::uint64_t seen = signature_of(others);
   TM_ASSIGN_OR_RETURN(list, read_file_of_owner(others, S_IWOTH, "--keys: ", init));
   TM_ASSIGN_OR_RETURN(clients, read_client_list(list, others));
@@ -135,6 +148,7 @@ void KeyRing::follow(std::function<bool()> on_change) {
 }
 
 void KeyRing::run(const std::function<bool()>& on_change) {
+  name_thread("key ring");
   const auto same = [](const std::vector<ClientPtr>& a, const std::vector<ClientPtr>& b) {
     return std::equal(a.begin(), a.end(), b.begin(), b.end(),
                       [](const ClientPtr& one, const ClientPtr& other) { return *one == *other; });

@@ -9,7 +9,7 @@
 namespace tensormass::bus {
 namespace {
 
-using LogHandler = std::function<void(bool, std::string_view)>;
+using LogHandler = std::function<void(bool, std::string_view, std::string_view)>;
 
 /// Installs `handler` as zenoh's log, the first time only. zenoh logs for the whole process until it exits, so the
 /// handler is never freed.
@@ -17,8 +17,8 @@ void forward_zenoh_log(LogHandler handler) {
   static const LogHandler* const installed = [&handler] {
     auto* kept = new LogHandler(std::move(handler));
     tensormass_zenoh_set_log(
-        [](void* context, bool is_error, const char* message, std::size_t size) {
-          (*static_cast<LogHandler*>(context))(is_error, {message, size});
+        [](void* context, bool is_error, const char* who, std::size_t who_size, const char* message, std::size_t size) {
+          (*static_cast<LogHandler*>(context))(is_error, {who, who_size}, {message, size});
         },
         kept);
     return kept;

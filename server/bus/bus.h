@@ -32,11 +32,12 @@ struct BusOptions {
   const access::KeyRing* keys = nullptr;
   /// Called for each valid pose, from threads of the transports; must not block.
   PoseHandler on_pose = [](auto&&...) {};
-  /// Called for each refused message, from threads of the transports; must not block.
+  /// Called for each refused message and client, from threads of the transports; must not block.
   MalformedHandler on_malformed = [](auto&&...) {};
   /// Called with each warning or error of zenoh, from any thread. zenoh has one log per process, so only the first bus
-  /// of the process receives its lines.
-  std::function<void(bool is_error, std::string_view message)> on_log = [](auto&&...) {};
+  /// of the process receives its lines. who: the client that was disconnected for the reason in `message`; empty: a
+  /// line of zenoh's own.
+  std::function<void(bool is_error, std::string_view who, std::string_view message)> on_log = [](auto&&...) {};
 };
 
 /// The addresses that clients connect to, with the ports that were chosen. Empty: the transport is off.

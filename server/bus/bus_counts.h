@@ -19,10 +19,13 @@ inline constexpr std::array<std::string_view, 6> kStreamNames{"topology", "frame
 enum class Refusal : std::uint8_t {
   kAccess,         ///< the client may not send it: its key does not allow it, or nobody may (zenoh)
   kMessageSize,    ///< limits::kMaxPoseMessageBytes, kMaxZenohMessageBytes
-  kSubscriptions,  ///< limits::kMaxSubscriptionsPerPeer, kMaxSubscriptionsPerKey, kMaxZenohDeclarations
+  kSubscriptions,  ///< limits::kMaxSubscriptionsPerPeer, kMaxSubscriptionsPerKey, kMaxZenohDeclarations, kMaxZenohKeys,
+                   ///< kMaxZenohRequestsAtOnce
   kPoseRate,       ///< limits::kMaxPosesPerSecond
+  kConnections,    ///< limits::kMaxZeroMqConnections
 };
-inline constexpr std::array<std::string_view, 4> kRefusalNames{"access", "message_size", "subscriptions", "pose_rate"};
+inline constexpr std::array<std::string_view, 5> kRefusalNames{"access", "message_size", "subscriptions", "pose_rate",
+                                                               "connections"};
 
 /// What the data plane dropped and refused since it was opened, for metrics (docs/metrics.md).
 struct BusCounts {

@@ -10,15 +10,10 @@
 #include "access/key_ring.h"
 #include "bus/bus_counts.h"
 #include "bus/pose_rate.h"
+#include "core/journal.h"
 #include "tensormass/v1/stream.pb.h"
 
 namespace tensormass::bus {
-
-/// Receives a parsed pose. Transports call it from several threads at once; it must not block.
-using PoseHandler = std::function<void(std::string_view scene, std::string_view tool, const v1::ToolPose& pose)>;
-/// Receives the reason for each refused message, under the same conditions. `scene` is empty if the message does not
-/// name a scene of this server in a valid key.
-using MalformedHandler = std::function<void(std::string_view scene, std::string_view reason)>;
 
 /// Who sent a message.
 struct Sender {
@@ -27,7 +22,19 @@ struct Sender {
   std::uint64_t number = 0;
   /// Id of the client, if keys say who that is and the transport has not asked the rules yet (ZeroMQ).
   std::string_view client = {};
+  /// The connection's descriptor (ZeroMQ); -1: not known.
+  int descriptor = -1;
+
+  /// The client's id or its address, for the log. zenoh tells it only on the thread that handles the message.
+  std::string who() const;
 };
+
+/// Receives a parsed pose. Transports call it from several threads at once; it must not block.
+using PoseHandler =
+    std::function<void(std::string_view scene, std::string_view tool, const v1::ToolPose& pose, const Sender& sender)>;
+/// Receives what was refused, under the same conditions. `scene` is empty if the message does not name a scene of this
+/// server in a valid key.
+using MalformedHandler = std::function<void(const Refused&)>;
 
 /// Parses every message that clients send on the data plane, whatever the transport. Each message becomes exactly one
 /// call: `on_pose` with a pose, or `on_malformed` with a reason, which also adds one to `malformed_count`. What a
@@ -50,14 +57,16 @@ class PoseInput {
   /// here.
   void receive_framed(std::string_view bytes, const Sender& sender = {});
   /// Counts and reports a message that the transport itself could not accept.
-  void refuse(std::string_view scene, std::string_view reason);
+  void refuse(const Refused& refused);
   /// Messages refused so far.
   std::uint64_t malformed_count() const { return malformed_.load(std::memory_order_relaxed); }
 
  private:
   bool is_within_rate(const Sender& sender);
-  bool may_move(std::string_view id, std::string_view key);
-  void parse(std::string_view key, std::string_view payload, Carrier carrier);
+  bool may_move(const Sender& sender, std::string_view key);
+  void parse(std::string_view key, std::string_view payload, const Sender& sender);
+  /// Refuses a pose.
+  void refuse_of(const Sender& sender, std::string_view scene, std::string_view reason);
 
   std::string server_;
   PoseHandler on_pose_;

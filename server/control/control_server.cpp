@@ -9,8 +9,8 @@
 
 #include "control/control_service.h"
 #include "control/doorkeeper.h"
+#include "control/refused_calls.h"
 #include "control/relay.h"
-#include "control/unreadable_request.h"
 #include "core/control_limits.h"
 #include "core/limits.h"
 
@@ -38,8 +38,7 @@ struct ControlServer::Parts {
 Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& address, SceneRegistry& registry,
                                                             const v1::GetVersionResponse& identity,
                                                             std::function<std::uint64_t()> malformed_count,
-                                                            std::function<void(std::string_view why)> on_refused,
-                                                            const access::KeyRing* keys,
+                                                            const OnRefused& on_refused, const access::KeyRing* keys,
                                                             std::function<std::string()> metrics) {
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
@@ -60,7 +59,7 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, static_cast<int>(kKeepalive.count()));
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, static_cast<int>(kKeepaliveAnswer.count()));
   builder.AddChannelArgument(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);  // no bound
-  builder.experimental().SetInterceptorCreators(refuse_unreadable_requests());
+  builder.experimental().SetInterceptorCreators(intercept_refusals(on_refused.call));
   builder.RegisterService(&parts->service);
   parts->server = builder.BuildAndStart();
   if (parts->server == nullptr) return fail(ErrorCode::kUnavailable, "gRPC does not start; its own log line says why");
@@ -73,13 +72,13 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
   if (keys != nullptr) guard = {parts->tls.get(), [keys](std::string_view id) { return keys->find(id) != nullptr; }};
   Admission& admission = registry.admission();
   parts->relay = std::make_unique<Relay>(
-      admit, on_refused, std::move(guard),
+      admit, on_refused.connection, std::move(guard),
       Http2Meter::Messages{
           static_cast<std::uint64_t>(admission.limits().message_bytes),
           [&admission](std::uint64_t bytes) { return admission.has_room(static_cast<double>(bytes)); }});
   const char* const wrong = keys != nullptr ? "a peer that does not speak TLS" : "a peer that does not speak HTTP/2";
   parts->doorkeeper->open([relay = parts->relay.get()](int descriptor) { relay->add(descriptor); },
-                          [on_refused, wrong] { on_refused(wrong); },
+                          [refuse = on_refused.connection, wrong](std::string_view who) { refuse(who, wrong); },
                           keys != nullptr ? Doorkeeper::Opening::kTls : Doorkeeper::Opening::kHttp2);
   return std::unique_ptr<ControlServer>(new ControlServer(std::move(parts)));
 }

@@ -8,6 +8,7 @@
 
 #include "access/key_ring.h"
 #include "control/scene_registry.h"
+#include "core/journal.h"
 #include "core/result.h"
 
 namespace tensormass::v1 {
@@ -19,26 +20,31 @@ namespace tensormass::control {
 /// The gRPC server on its port: the control service, gRPC's health service and its reflection service.
 ///
 ///     client ──> Doorkeeper ──admit──> Relay ──> gRPC ──> a gRPC thread per running call ──> ControlService
-///                     │                  ├─ beyond a limit of HTTP/2, or without a valid key ──> on_refused(why)
+///                     │                  │                       └─ an error ──> on_refused.call
+///                     │                  ├─ beyond a limit of HTTP/2, or without a valid key ──> on_refused.connection
 ///                     │                  └─ with keys: TLS ends here
-///                     └─ not HTTP/2 ──> on_refused(why)
+///                     └─ not HTTP/2 ──> on_refused.connection
 ///
 /// A running call occupies one of gRPC's threads. Calls beyond limits::kMaxControlThreads fail with
 /// RESOURCE_EXHAUSTED; long ones before that (call_share.h).
 class ControlServer {
  public:
+  struct OnRefused {
+    /// A connection that does not speak HTTP/2, or that passes a limit: the client's id or address, and the reason.
+    std::function<void(std::string_view who, std::string_view why)> connection;
+    /// A call that was answered with an error. by_role: the client's key has no right to it. nullptr: nobody is told.
+    std::function<void(bool by_role, const Refused& call)> call = nullptr;
+  };
   /// Listens on `address`, HOST:PORT; port 0 takes a free one. `registry` must outlive the server. GetVersion answers
   /// `identity`. Fails with kUnavailable if the address cannot be listened on.
   ///
   ///   malformed_count()   returns what GetVersion adds to `identity`; called on gRPC's threads
   ///   keys                who may connect and call; must outlive the server. nullptr: everybody, in plain text
   ///   metrics()           returns the answer of GetMetrics; called on gRPC's threads
-  ///   on_refused(why)     called for each connection that does not speak HTTP/2, or that passes a limit, on the
-  ///   threads
-  ///                       of doorkeeper and relay; it must not block
+  ///   on_refused          called on threads of doorkeeper, relay and gRPC; must not block
   static Result<std::unique_ptr<ControlServer>> start(
       const std::string& address, SceneRegistry& registry, const v1::GetVersionResponse& identity,
-      std::function<std::uint64_t()> malformed_count, std::function<void(std::string_view why)> on_refused,
+      std::function<std::uint64_t()> malformed_count, const OnRefused& on_refused,
       const access::KeyRing* keys = nullptr, std::function<std::string()> metrics = [] { return std::string(); });
   /// Stops listening, waits at most kDrainTime for running calls, then cancels them.
   ~ControlServer();

@@ -71,7 +71,7 @@ ControlService::ControlService(SceneRegistry& registry, v1::GetVersionResponse i
 grpc::Status ControlService::permit(const grpc::ServerContext* context, std::string_view call, std::string_view scene,
                                     std::string_view tool) {
   if (keys_ == nullptr) return grpc::Status::OK;
-  const std::string id = Relay::id_of_peer(context->peer());
+  const std::string id = Relay::name_of_peer(context->peer());
   const access::ClientPtr client = keys_->find(id);
   if (client == nullptr) {
     return {grpc::StatusCode::UNAUTHENTICATED,
@@ -81,13 +81,6 @@ grpc::Status ControlService::permit(const grpc::ServerContext* context, std::str
   if (access::may_call(client->subject(), full, scene, tool)) return grpc::Status::OK;
   registry_.refusals().count(Limit::kRole);
   const std::string_view role = access::kRoleNames[static_cast<std::size_t>(client->role)];
-  if (const auto suppressed = refused_calls_.admit()) {
-    log::warn("refused a call", {{"who", id},
-                                 {"what", call},
-                                 {"scene", scene.substr(0, limits::kMaxNameLength)},
-                                 {"reason", fmt::format("not for role {}", role)},
-                                 {"more_before", *suppressed}});
-  }
   const std::string own =
       client->role == access::Role::kHand ? fmt::format(" of {}/{}", client->scene, client->tool) : "";
   return {grpc::StatusCode::PERMISSION_DENIED,
@@ -283,6 +276,7 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
   auto runner = registry_.find(request->scene());
   if (!runner) return to_status(runner.error());
   const std::weak_ptr<world::Runner> scene = *runner;
+  const std::string who = Relay::name_of_peer(context->peer());  // a client that is gone has no name
   auto started = (*runner)->record({.check_every_steps = request->check_every_steps(), .reset = request->reset()});
   // A reader that is stuck in Write must not keep the loop of an unloaded scene alive.
   runner->reset();
@@ -292,11 +286,11 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
   recording.on_evicted([context] { context->TryCancel(); });
   started->start.set_server_version(identity_.version());
   v1::RecordSceneResponse response;
-  RecordingLosses& losses = registry_.recording_losses();
+  const std::shared_ptr<RecordingLosses> losses = registry_.recording_losses(request->scene());
   std::uint64_t lost_checks = 0;
   const auto count_losses = [&] {
-    for (const v1::LostSteps& lost : response.lost()) losses.steps += lost.count();
-    losses.checks += response.lost_checks() - std::exchange(lost_checks, response.lost_checks());
+    for (const v1::LostSteps& lost : response.lost()) losses->steps += lost.count();
+    losses->checks += response.lost_checks() - std::exchange(lost_checks, response.lost_checks());
   };
   *response.mutable_start() = std::move(started->start);
   bool reads = writer->Write(response);
@@ -314,19 +308,19 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
   }
   recording.on_evicted({});
   if (recording.evicted()) {
-    ++losses.recordings;
+    ++losses->recordings;
     // What waited for the client does not reach it any more.
     while (recording.take(response)) {
       count_losses();
-      losses.steps += static_cast<std::uint64_t>(response.steps_size());
-      losses.checks += static_cast<std::uint64_t>(response.checks_size());
+      losses->steps += static_cast<std::uint64_t>(response.steps_size());
+      losses->checks += static_cast<std::uint64_t>(response.checks_size());
     }
-    log::warn("evicted a recording", {{"who", context->peer()},
-                                      {"what", "RecordScene"},
-                                      {"scene", request->scene()},
-                                      {"reason",
-                                       "its client took nothing for limits::kRecordingLease = 10 s, and "
-                                       "another one records the scene"}});
+    log::warn("closed", {{"who", who},
+                         {"what", "tensormass.v1.Control/RecordScene"},
+                         {"scene", request->scene()},
+                         {"reason",
+                          "its client took nothing for limits::kRecordingLease = 10 s, and another one records the "
+                          "scene"}});
   }
   if (const RunnerPtr still = scene.lock()) still->stop_recording(started->recording);
   return grpc::Status::OK;

@@ -9,7 +9,6 @@
 #include "control/call_share.h"
 #include "control/scene_registry.h"
 #include "core/control_limits.h"
-#include "core/log.h"
 #include "tensormass/v1/control.grpc.pb.h"
 
 namespace tensormass::control {
@@ -19,7 +18,7 @@ namespace tensormass::control {
 /// gRPC runs each call on a thread of its own. A call finds its scene in the registry and calls the scene's runner,
 /// which passes commands to the scene's loop. So no call touches the state of a simulation. Errors become gRPC statuses
 /// in status.h. Calls that may hold their thread for long have a share of the threads (call_share.h).
-/// unreadable_request.h answers requests that are not protobuf before they get here.
+/// refused_calls.h answers requests that are not protobuf before they get here, and tells of calls that are refused.
 class ControlService final : public v1::Control::Service {
  public:
   /// `registry` must outlive the service. GetVersion answers `identity` with the current result of `malformed_count` in
@@ -68,7 +67,6 @@ class ControlService final : public v1::Control::Service {
   const std::function<std::uint64_t()> malformed_count_;
   const access::KeyRing* const keys_;
   const std::function<std::string()> metrics_;
-  log::Limiter refused_calls_;
   CallShare long_calls_{limits::kMaxLongCalls, "kMaxLongCalls", registry_.refusals(), Limit::kLongCalls};
   CallShare waiting_calls_{limits::kMaxWaitingCalls, "kMaxWaitingCalls", registry_.refusals(), Limit::kWaitingCalls};
   CallShare reset_calls_{limits::kMaxResetCalls, "kMaxResetCalls", registry_.refusals(), Limit::kResetCalls};

@@ -8,6 +8,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
@@ -16,6 +17,9 @@
 #include <utility>
 
 #include <fmt/format.h>
+
+#include "core/peer_address.h"
+#include "core/thread_name.h"
 
 namespace tensormass::control {
 namespace {
@@ -118,6 +122,7 @@ void Doorkeeper::open(Admit admit, Refuse refuse, Opening opening) {
 }
 
 void Doorkeeper::run() {
+  name_thread("doorkeeper");
   std::vector<pollfd> items;
   while (true) {
     try {
@@ -157,8 +162,9 @@ void Doorkeeper::accept_connections(Clock::time_point now) {
     // poll then reports the socket when the whole preface is there, or when the peer closed it.
     set_option(socket.get(), SOL_SOCKET, SO_RCVLOWAT, static_cast<int>(kPreface.size()));
     if (waiting_.size() >= kMaxWaiting) {
+      // The preface may be there, though nobody has looked: many may connect between two looks.
+      if (try_admit(waiting_.front())) refuse_(address_of_peer(waiting_.front().socket.get()));
       waiting_.erase(waiting_.begin());
-      refuse_();
     }
     waiting_.push_back({std::move(socket), Clock::now() + kPrefaceTimeout});
   }
@@ -166,19 +172,23 @@ void Doorkeeper::accept_connections(Clock::time_point now) {
 
 bool Doorkeeper::decide(Connection& connection, bool is_readable, Clock::time_point now) {
   if (!is_readable && now < connection.deadline) return false;
+  // No bytes at all: the peer only tested whether the port is open. It is closed, and not refused.
+  if (try_admit(connection).value_or(0) > 0) refuse_(address_of_peer(connection.socket.get()));
+  return true;
+}
+
+std::optional<std::size_t> Doorkeeper::try_admit(Connection& connection) {
   std::array<char, kPreface.size()> received;
   const ssize_t size = recv(connection.socket.get(), received.data(), received.size(), MSG_PEEK);
   const std::string_view start(received.data(), received.size());
-  if (size == static_cast<ssize_t>(kPreface.size()) &&
-      (opening_ == Opening::kTls ? start.starts_with(kTlsRecord) : start == kPreface)) {
-    set_option(connection.socket.get(), SOL_SOCKET, SO_RCVLOWAT, 1);
-    set_option(connection.socket.get(), IPPROTO_TCP, TCP_NODELAY, 1);
-    admit_(connection.socket.release());
-  } else if (size > 0) {
-    refuse_();
+  if (size != static_cast<ssize_t>(kPreface.size()) ||
+      !(opening_ == Opening::kTls ? start.starts_with(kTlsRecord) : start == kPreface)) {
+    return static_cast<std::size_t>(std::max<ssize_t>(size, 0));
   }
-  // No bytes at all: the peer only tested whether the port is open. It is closed, and not refused.
-  return true;
+  set_option(connection.socket.get(), SOL_SOCKET, SO_RCVLOWAT, 1);
+  set_option(connection.socket.get(), IPPROTO_TCP, TCP_NODELAY, 1);
+  admit_(connection.socket.release());
+  return std::nullopt;
 }
 
 }  // namespace tensormass::control

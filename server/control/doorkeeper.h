@@ -3,10 +3,13 @@
 #include <poll.h>
 
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
+#include <string_view>
 #include <thread>
 #include <vector>
 
@@ -51,8 +54,8 @@ class Doorkeeper {
  public:
   /// Called with each accepted connection; it takes ownership of the descriptor, a non-blocking socket.
   using Admit = std::function<void(int descriptor)>;
-  /// Called once for each refused connection.
-  using Refuse = std::function<void()>;
+  /// Called once for each refused connection, with its peer's address.
+  using Refuse = std::function<void(std::string_view who)>;
 
   /// Listens on `address`, HOST:PORT or [HOST]:PORT; port 0 takes a free one. Fails with kUnavailable, and names the
   /// address and the cause. Connections wait in the kernel's queue until `open`.
@@ -81,6 +84,8 @@ class Doorkeeper {
   void accept_connections(std::chrono::steady_clock::time_point now);
   /// Admits or refuses the connection, if its preface or its deadline has come. Returns false if it must wait longer.
   bool decide(Connection& connection, bool is_readable, std::chrono::steady_clock::time_point now);
+  /// Admits the connection if it starts as it must. Returns the number of bytes that came instead, if it does not.
+  std::optional<std::size_t> try_admit(Connection& connection);
 
   Descriptor listener_;
   Descriptor stop_;

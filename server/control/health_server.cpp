@@ -19,8 +19,7 @@ struct HealthServer::Parts {
   std::unique_ptr<Doorkeeper> doorkeeper = nullptr;
 };
 
-Result<std::unique_ptr<HealthServer>> HealthServer::start(const std::string& address,
-                                                          const std::function<void(std::string_view why)>& on_refused) {
+Result<std::unique_ptr<HealthServer>> HealthServer::start(const std::string& address, const Relay::Refuse& on_refused) {
   grpc::EnableDefaultHealthCheckService(true);
   TM_ASSIGN_OR_RETURN(doorkeeper, Doorkeeper::listen(address));
   auto parts = std::make_unique<Parts>();
@@ -40,7 +39,7 @@ Result<std::unique_ptr<HealthServer>> HealthServer::start(const std::string& add
       },
       on_refused, RelayGuard{});
   parts->doorkeeper->open([relay = parts->relay.get()](int descriptor) { relay->add(descriptor); },
-                          [on_refused] { on_refused("a peer that does not speak HTTP/2"); },
+                          [on_refused](std::string_view who) { on_refused(who, "a peer that does not speak HTTP/2"); },
                           Doorkeeper::Opening::kHttp2);
   return std::unique_ptr<HealthServer>(new HealthServer(std::move(parts)));
 }

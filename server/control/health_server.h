@@ -5,6 +5,7 @@
 #include <string>
 #include <string_view>
 
+#include "control/relay.h"
 #include "core/result.h"
 
 namespace tensormass::control {
@@ -16,10 +17,9 @@ class HealthServer {
  public:
   /// Listens on `address`, HOST:PORT. Every name but "" is unknown until `set`. Call it before ControlServer::start:
   /// servers that gRPC makes after that one have its reflection service.
-  /// on_refused(why): called for each connection that is not HTTP/2 or passes a limit; must not block
+  /// on_refused(who, why): called for each connection that is not HTTP/2 or passes a limit; must not block
   /// Fails with kUnavailable if the address cannot be listened on.
-  static Result<std::unique_ptr<HealthServer>> start(const std::string& address,
-                                                     const std::function<void(std::string_view why)>& on_refused);
+  static Result<std::unique_ptr<HealthServer>> start(const std::string& address, const Relay::Refuse& on_refused);
   ~HealthServer();
 
   void set(const std::string& name, bool serving);

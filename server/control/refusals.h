@@ -37,8 +37,9 @@ class Refusals {
   std::array<std::atomic<std::uint64_t>, kLimitNames.size()> counts_{};
 };
 
-/// What recordings lost since the daemon started, for metrics: steps and checks that did not reach their client, and
-/// recordings that ended because their client took nothing for limits::kRecordingLease. Any thread counts and reads.
+/// What recordings of a scene lost since it was loaded, for metrics: steps and checks that did not reach their client,
+/// and recordings that ended because their client took nothing for limits::kRecordingLease. Any thread counts and
+/// reads.
 struct RecordingLosses {
   std::atomic<std::uint64_t> steps{0}, checks{0}, recordings{0};
 };

@@ -15,6 +15,9 @@
 
 #include <fmt/format.h>
 
+#include "core/peer_address.h"
+#include "core/thread_name.h"
+
 namespace tensormass::control {
 namespace {
 
@@ -73,7 +76,11 @@ struct OfClient {
 
 Relay::Connection::Connection(Descriptor of_client, Descriptor of_inner, std::atomic<std::uint64_t>& half_sent,
                               const Http2Meter::Messages& messages)
-    : client(std::move(of_client)), inner(std::move(of_inner)), meter(half_sent, messages, Clock::now()) {}
+    : client(std::move(of_client)),
+      inner(std::move(of_inner)),
+      address(address_of_peer(client.get())),
+      meter(half_sent, messages, Clock::now()),
+      idle_since(Clock::now()) {}
 
 Relay::Relay(Admit admit, Refuse refuse, RelayGuard guard, Http2Meter::Messages messages)
     : admit_(std::move(admit)),
@@ -98,7 +105,7 @@ void Relay::add(int descriptor) {
   if (guard_.tls != nullptr) {
     connection->tls = std::make_unique<TlsStream>(*guard_.tls, connection->client.get());
     connection->shakes_hands_until = Clock::now() + kHandshakeTimeout;
-  } else if (!connect_inner(*connection)) {
+  } else if (count_.load() < limits::kMaxControlConnections && !connect_inner(*connection)) {
     return;
   }
   {
@@ -109,8 +116,8 @@ void Relay::add(int descriptor) {
 }
 
 bool Relay::connect_inner(Connection& connection) {
-  if (count_.load() >= limits::kMaxControlConnections) {
-    refuse_("more than kMaxControlConnections connections");
+  if (count_.load() >= limits::kMaxControlConnections && !make_room()) {
+    refuse_(connection.who(), "more than kMaxControlConnections connections, each with a call");
     return false;
   }
   int ends[2] = {-1, -1};
@@ -118,14 +125,31 @@ bool Relay::connect_inner(Connection& connection) {
   if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, ends) != 0) return false;
   connection.inner = Descriptor(ends[0]);
   Descriptor theirs(ends[1]);
-  if (connection.tls && !name_socket(ends[0], connection.id)) return false;
+  // Without keys the name is for the log alone.
+  if (!name_socket(ends[0], connection.who()) && connection.tls) return false;
   connection.counted = true;
   count_.fetch_add(1);
   admit_(theirs.release());
   return true;
 }
 
-std::string Relay::id_of_peer(std::string_view peer) {
+bool Relay::make_room() {
+  auto idle = connections_.end();
+  for (auto each = connections_.begin(); each != connections_.end(); ++each) {
+    const Connection& one = *each->second;
+    if (!one.counted || one.idle_since == Clock::time_point::max()) continue;
+    if (idle == connections_.end() || one.idle_since < idle->second->idle_since) idle = each;
+  }
+  if (idle == connections_.end()) return false;
+  constexpr std::string_view kWhy =
+      "more than kMaxControlConnections connections; the one without a call for longest made room";
+  say_goodbye(*idle->second, kWhy);
+  refuse_(idle->second->who(), kWhy);
+  close(idle);
+  return true;
+}
+
+std::string Relay::name_of_peer(std::string_view peer) {
   const std::size_t at = peer.find(kPeerPrefix);
   if (!peer.starts_with("unix-abstract:") || at != std::string_view("unix-abstract:").size()) return {};
   const std::size_t id = at + kPeerPrefix.size() + kPeerDigits + 1;
@@ -133,6 +157,7 @@ std::string Relay::id_of_peer(std::string_view peer) {
 }
 
 void Relay::run() {
+  name_thread("relay");
   std::array<epoll_event, 64> events;
   while (!stopping_) {
     const int period_ms = static_cast<int>(std::chrono::milliseconds(kCheckPeriod).count());
@@ -173,7 +198,11 @@ void Relay::take_new() {
     taken.swap(new_);
   }
   for (std::unique_ptr<Connection>& connection : taken) {
-    if (connection->tls) make_room_to_shake_hands();
+    if (connection->tls) {
+      make_room_to_shake_hands();
+    } else if (connection->inner.get() < 0 && !connect_inner(*connection)) {
+      continue;
+    }
     const std::uint64_t id = next_id_++;
     const auto added = connections_.emplace(id, std::move(connection)).first;
     wait_for(id, *added->second);
@@ -184,8 +213,9 @@ void Relay::make_room_to_shake_hands() {
   const auto shakes_hands = [](const auto& entry) { return !entry.second->counted; };
   const auto count = std::count_if(connections_.begin(), connections_.end(), shakes_hands);
   if (static_cast<std::size_t>(count) < limits::kMaxShaking) return;
-  refuse_("more than kMaxShaking peers that shake hands; the oldest made room");
-  close(std::find_if(connections_.begin(), connections_.end(), shakes_hands));
+  const auto oldest = std::find_if(connections_.begin(), connections_.end(), shakes_hands);
+  refuse_(oldest->second->who(), "more than kMaxShaking peers that shake hands; the oldest made room");
+  close(oldest);
 }
 
 Relay::Connections::iterator Relay::close(Connections::iterator connection) {
@@ -224,17 +254,22 @@ Relay::Outcome Relay::carry(Connection& connection) {
   const OfClient client{connection.client.get(), connection.tls.get()};
   const Plain inner{connection.inner.get()};
   // The answers first: they say which calls have ended.
-  const Outcome out = carry(inner, client, connection.out, [&](std::string_view bytes) {
+  const Outcome out = carry(inner, client, connection.out, connection.who(), [&](std::string_view bytes) {
     connection.meter.from_server(bytes);
     return std::string_view();
   });
   if (out == Outcome::kEnded) return out;
-  const Outcome in = carry(client, inner, connection.in, [&](std::string_view bytes) {
+  const Outcome in = carry(client, inner, connection.in, connection.who(), [&](std::string_view bytes) {
     std::string_view why = connection.meter.from_client(bytes, now);
     if (why.empty()) why = make_room_for_messages(connection);
     if (!why.empty()) say_goodbye(connection, why);
     return why;
   });
+  if (connection.meter.stream_count() > 0) {
+    connection.idle_since = Clock::time_point::max();
+  } else if (connection.idle_since == Clock::time_point::max()) {
+    connection.idle_since = now;
+  }
   // gRPC ends both ways at once, as soon as the client has ended its own.
   return connection.out.passed_on ? Outcome::kEnded : in;
 }
@@ -252,7 +287,7 @@ std::string_view Relay::make_room_for_messages(const Connection& active) {
       return kWhy;
     }
     say_goodbye(*most->second, kWhy);
-    refuse_(kWhy);
+    refuse_(most->second->who(), kWhy);
     close(most);
   }
   return {};
@@ -277,7 +312,7 @@ Relay::Outcome Relay::shake_hands(Connection& connection) {
     case TlsStream::Handshake::kGoesOn:
       return Outcome::kGoesOn;
     case TlsStream::Handshake::kFailed:
-      refuse_(fmt::format("a peer without a valid key: {}", connection.tls->failure()));
+      refuse_(connection.who(), fmt::format("a peer without a valid key: {}", connection.tls->failure()));
       return Outcome::kEnded;
     case TlsStream::Handshake::kDone:
       break;
@@ -285,7 +320,7 @@ Relay::Outcome Relay::shake_hands(Connection& connection) {
   connection.shakes_hands_until = Clock::time_point::max();
   connection.id = connection.tls->peer_name();
   if (!guard_.knows(connection.id)) {
-    refuse_(fmt::format("a peer whose key was removed or has expired: {}", connection.id));
+    refuse_(connection.who(), "a peer whose key was removed or has expired");
     return Outcome::kEnded;
   }
   return join_key(connection) && connect_inner(connection) ? Outcome::kGoesOn : Outcome::kEnded;
@@ -295,7 +330,7 @@ bool Relay::join_key(Connection& connection) {
   std::shared_ptr<Key>& key = keys_[connection.id];
   if (key == nullptr) key = std::make_shared<Key>(Key{std::make_shared<Http2Meter::Budget>(Clock::now())});
   if (key->connections >= limits::kMaxConnectionsPerKey) {
-    refuse_(fmt::format("more than kMaxConnectionsPerKey connections of {}", connection.id));
+    refuse_(connection.who(), "more than kMaxConnectionsPerKey connections of one key");
     return false;
   }
   connection.key = key;
@@ -305,7 +340,7 @@ bool Relay::join_key(Connection& connection) {
 }
 
 template <class From, class To, class Taken>
-Relay::Outcome Relay::carry(const From& from, const To& to, Buffer& buffer, const Taken& taken) {
+Relay::Outcome Relay::carry(const From& from, const To& to, Buffer& buffer, std::string_view who, const Taken& taken) {
   for (int turn = 0; turn < kBuffersPerTurn; ++turn) {
     if (buffer.empty() && !buffer.source_ended) {
       const ssize_t size = from.read(buffer.bytes.data(), buffer.bytes.size());
@@ -314,7 +349,7 @@ Relay::Outcome Relay::carry(const From& from, const To& to, Buffer& buffer, cons
       buffer.end = static_cast<std::size_t>(size);
       buffer.source_ended = size == 0;
       if (const std::string_view why = taken(buffer.view()); !why.empty()) {
-        refuse_(why);
+        refuse_(who, why);
         return Outcome::kEnded;
       }
     }
@@ -368,7 +403,7 @@ void Relay::check_time() {
       ++connection;
       continue;
     }
-    refuse_(why);
+    refuse_(one.who(), why);
     connection = close(connection);
   }
   std::erase_if(leaving_, [now](const auto& entry) { return now >= entry.second.until; });

@@ -29,14 +29,18 @@ struct RelayGuard {
 /// Carries the bytes of admitted connections to gRPC and back, and closes a connection that passes a limit of HTTP/2.
 ///
 ///     client <── socket ──> one buffer each way <── socket pair ──> gRPC
-///                                └─ Http2Meter: too many resets, too long headers, ... ──> close both, refuse(why)
+///                                └─ Http2Meter: too many resets, too long headers, ... ──> close both, refuse()
 ///
 /// All half-sent messages together have a bound. Beyond it the one that waits with most ends, so that a client that
 /// sends goes on whoever holds what.
 ///
-/// With keys, the client's side speaks TLS, and gRPC gets a connection when the handshake is done. gRPC then calls its
-/// peer by the name of the client's certificate (id_of_peer), because the socket pair's other end has that address.
-/// Connections that shake hands have limits of their own, so that peers without a key use up none of those with one.
+/// With keys, the client's side speaks TLS, and gRPC gets a connection when the handshake is done. gRPC calls its peer
+/// by the name of the client's certificate, without keys by its address (name_of_peer), because the socket pair's other
+/// end has that name. Connections that shake hands have limits of their own, so that peers without a key use up none of
+/// those with one.
+///
+/// When there are too many connections, the one ends that has been without a call for longest, so that peers that only
+/// hold connections keep nobody out. gRPC's clients connect again by themselves.
 ///
 /// A buffer is read into only when it is empty, so a side that does not read makes the other wait, as without a relay.
 /// One thread does all of this. It sleeps in epoll, calls `refuse`, and is joined by the destructor.
@@ -44,17 +48,18 @@ class Relay {
  public:
   /// Called with gRPC's end of each connection; it takes ownership of the descriptor, a non-blocking socket.
   using Admit = std::function<void(int descriptor)>;
-  /// Called with the reason for each connection that was closed for a limit; must not block.
-  using Refuse = std::function<void(std::string_view why)>;
+  /// Called for each connection that was closed for a limit, with the client's id or address and the reason; must not
+  /// block.
+  using Refuse = std::function<void(std::string_view who, std::string_view why)>;
 
   Relay(Admit admit, Refuse refuse, RelayGuard guard = {}, Http2Meter::Messages messages = {});
   ~Relay();
 
-  /// Takes ownership of a client's socket, non-blocking. Any thread may call it; `admit` runs on it.
+  /// Takes ownership of a client's socket, non-blocking. Any thread may call it; `admit` runs on it or on the relay's.
   void add(int client);
 
-  /// Returns the id of a client, from what gRPC calls its peer; empty without keys.
-  static std::string id_of_peer(std::string_view peer);
+  /// Returns the id of a client, or without keys its address, from what gRPC calls its peer; empty if it has no name.
+  static std::string name_of_peer(std::string_view peer);
 
  private:
   /// Bytes on their way from one socket to the other.
@@ -76,11 +81,14 @@ class Relay {
                const Http2Meter::Messages& messages);
     Descriptor client, inner;
     std::unique_ptr<TlsStream> tls;  // nullptr: plain text
+    std::string address;             // the client's
     std::string id;                  // the client's, after the handshake
+    const std::string& who() const { return id.empty() ? address : id; }
     std::chrono::steady_clock::time_point shakes_hands_until = std::chrono::steady_clock::time_point::max();
     Http2Meter meter;
     Buffer in, out;
     bool counted = false;                               // in count_
+    std::chrono::steady_clock::time_point idle_since;   // max: it has a call
     bool told = false;                                  // why it ends, by say_goodbye
     std::shared_ptr<Key> key;                           // nullptr in plain text, and before the handshake
     std::uint32_t client_events = 0, inner_events = 0;  // that epoll waits for
@@ -110,9 +118,11 @@ class Relay {
   void let_leave(std::uint64_t id, Connection& connection);
   /// Throws away what a leaving client sends.
   void discard(std::uint64_t id);
-  /// Counts the connection, makes the socket pair and hands gRPC its end. Returns false beyond kMaxControlConnections
-  /// and without descriptors.
+  /// Counts the connection, makes the socket pair and hands gRPC its end. Returns false beyond kMaxControlConnections,
+  /// if all of them have calls, and without descriptors.
   bool connect_inner(Connection& connection);
+  /// Closes the connection that has been without a call for longest. Returns false if each has one.
+  bool make_room();
   /// Gives the connection what its key has left. Returns false beyond kMaxConnectionsPerKey.
   bool join_key(Connection& connection);
   /// Returns the connection after the one that it closes.
@@ -120,7 +130,7 @@ class Relay {
   /// Moves what it can; taken: std::string_view(std::string_view), gets the bytes that were read and returns why the
   /// connection must be closed, or "".
   template <class From, class To, class Taken>
-  Outcome carry(const From& from, const To& to, Buffer& buffer, const Taken& taken);
+  Outcome carry(const From& from, const To& to, Buffer& buffer, std::string_view who, const Taken& taken);
   void wait_for(std::uint64_t id, Connection& connection);
   void watch(std::uint64_t key, int descriptor, std::uint32_t& present, std::uint32_t wanted);
   void check_time();

@@ -117,6 +117,7 @@ Result<void> SceneRegistry::unload(std::string_view name) {
   changed();  // before files are removed: hands must not wait for a disk
   if (follower_ != nullptr) follower_->forget(ended->name());
   const std::lock_guard lock(mutex_);
+  losses_.erase(ended->name());
   scenes_.erase(ended->name());
   return {};
 }
@@ -128,6 +129,20 @@ Result<RunnerPtr> SceneRegistry::find(std::string_view name) const {
     return fail(ErrorCode::kNotFound, fmt::format("no scene '{}' is loaded", name));
   }
   return found->second;
+}
+
+std::shared_ptr<RecordingLosses> SceneRegistry::recording_losses(std::string_view scene) {
+  const std::lock_guard lock(mutex_);
+  const auto found = scenes_.find(scene);
+  if (found == scenes_.end() || found->second == nullptr) return std::make_shared<RecordingLosses>();
+  std::shared_ptr<RecordingLosses>& losses = losses_[found->first];
+  if (losses == nullptr) losses = std::make_shared<RecordingLosses>();
+  return losses;
+}
+
+SceneRegistry::LossesOfScenes SceneRegistry::recording_losses() const {
+  const std::shared_lock lock(mutex_);
+  return {losses_.begin(), losses_.end()};
 }
 
 std::vector<RunnerPtr> SceneRegistry::list() const {

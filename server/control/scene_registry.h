@@ -97,8 +97,11 @@ class SceneRegistry {
   /// Refusals of the whole control plane, for metrics.
   Refusals& refusals() { return refusals_; }
   const Refusals& refusals() const { return refusals_; }
-  RecordingLosses& recording_losses() { return recording_losses_; }
-  const RecordingLosses& recording_losses() const { return recording_losses_; }
+  /// What recordings of a scene lost; of one that is not loaded, a count that nobody reads.
+  std::shared_ptr<RecordingLosses> recording_losses(std::string_view scene);
+  using LossesOfScenes = std::map<std::string, std::shared_ptr<const RecordingLosses>, std::less<>>;
+  /// The same of all loaded scenes that were recorded.
+  LossesOfScenes recording_losses() const;
   const AdmissionLimits& admission_limits() const { return admission_.limits(); }
   /// A number that grows with every load, unload and close. A reader that remembers it knows whether to call `list`.
   std::uint64_t generation() const { return generation_.load(std::memory_order_acquire); }
@@ -117,12 +120,12 @@ class SceneRegistry {
   const std::function<void()> output_signal_;
   SceneFollower* follower_ = nullptr;  // nullptr: nobody is told
   Refusals refusals_;
-  RecordingLosses recording_losses_;
   Admission admission_;
   std::atomic<std::uint64_t> generation_{0};
   mutable std::shared_mutex mutex_;
-  // Guarded by mutex_, as is closed_. Null: the name is reserved for a scene that is being compiled.
+  // Guarded by mutex_, as are losses_ and closed_. Null: the name is reserved for a scene that is being compiled.
   std::map<std::string, RunnerPtr, std::less<>> scenes_;
+  std::map<std::string, std::shared_ptr<RecordingLosses>, std::less<>> losses_;
   bool closed_ = false;
 };
 

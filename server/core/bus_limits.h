@@ -20,12 +20,21 @@ inline constexpr std::uint32_t kMaxZenohDeclarations = 256;
 /// The same of all zenoh clients: kDefaultZenohSessions scenes with every tool, and half as many again. When one more
 /// comes, the client with most is disconnected, with keys all connections of its key.
 inline constexpr std::uint32_t kMaxZenohDeclarationsOfAll = 16'384;
+/// Keys that zenoh keeps for the declarations of one client, and bytes of a key; a client beyond is disconnected. The
+/// keys of all clients are bounded by kMaxZenohDeclarationsOfAll. The longest key of a stream has 220 bytes.
+inline constexpr std::uint32_t kMaxZenohKeys = 512, kMaxZenohKeyBytes = 512;
+/// Declarations and queries of one zenoh client, with keys of all connections of a key: so many at once, and so many a
+/// second [1/s] after that; a client beyond is disconnected. zenoh answers each, and waits for a client that does not
+/// read the answers. A gateway makes seven for each of limits::kMaxScenes scenes.
+inline constexpr double kMaxZenohRequestsAtOnce = 4096, kMaxZenohRequestsPerS = 256;
 /// Subscriptions of one client at the ZeroMQ publish endpoint; a client with more is disconnected. A scene with every
 /// tool has 19 streams.
 inline constexpr std::size_t kMaxSubscriptionsPerPeer = 64;
 /// Subscriptions of all connections of one key there; a client with more is disconnected. A gateway has three for each
 /// of limits::kMaxScenes scenes.
 inline constexpr std::size_t kMaxSubscriptionsPerKey = 2048;
+/// Connections to each ZeroMQ endpoint at once. Beyond it the oldest one ends that neither subscribed nor sent a pose.
+inline constexpr std::size_t kMaxZeroMqConnections = 1024;
 /// Bytes of a message to the ZeroMQ publish endpoint; ZeroMQ closes the connection of a client that sends a longer one.
 /// The longest key has 220. The handshake's messages count, too, and may bring a client's own properties.
 inline constexpr std::int64_t kMaxSubscriptionBytes = 1024;

@@ -19,6 +19,26 @@ namespace {
 
 constexpr double kMib = 1 << 20;
 
+/// The lines of zenoh, which clients can cause at any rate.
+class ZenohLog {
+ public:
+  /// who: the client that was disconnected; empty: a line of zenoh's own
+  void note(bool is_error, std::string_view who, std::string_view message) {
+    if (!who.empty()) {
+      return journal_.note(Journal::Kind::kZenoh, "closed",
+                           {.who = who, .what = "a connection over zenoh", .reason = message});
+    }
+    if (const auto suppressed = lines_.admit()) {
+      log::write(is_error ? spdlog::level::err : spdlog::level::warn, "zenoh",
+                 {{"message", message}, {"suppressed", *suppressed}});
+    }
+  }
+
+ private:
+  Journal journal_;
+  log::Limiter lines_;
+};
+
 }  // namespace
 
 Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config, const Process& process) {
@@ -75,13 +95,10 @@ Result<void> Daemon::open(const Config& config, const Process& process) {
   options.zenoh_listen = config.zenoh_listen;
   options.zenoh_sessions = config.zenoh_sessions;
   options.keys = keys_.get();
-  options.on_pose = [this](std::string_view scene, std::string_view tool, const v1::ToolPose& pose) {
-    receive_pose(scene, tool, pose);
-  };
-  options.on_malformed = [this](std::string_view scene, std::string_view reason) { note_malformed(scene, reason); };
-  options.on_log = [](bool is_error, std::string_view message) {
-    log::write(is_error ? spdlog::level::err : spdlog::level::warn, "zenoh", {{"message", message}});
-  };
+  options.on_pose = [this](auto&&... pose) { receive_pose(pose...); };
+  options.on_malformed = [this](const Refused& message) { note_malformed(message); };
+  // zenoh's log outlives the daemon.
+  options.on_log = [lines = std::make_shared<ZenohLog>()](auto&&... line) { lines->note(line...); };
   TM_ASSIGN_OR_RETURN(bus, bus::Bus::open(options));
   bus_ = std::move(bus);
   identity_.set_zeromq_publish_endpoint(bus_->endpoints().zeromq_publish);
@@ -90,9 +107,9 @@ Result<void> Daemon::open(const Config& config, const Process& process) {
 
   publisher_.emplace(registry_, *bus_, config.server_name, wake_up_);
   if (!config.health.empty()) {
-    TM_ASSIGN_OR_RETURN(health, control::HealthServer::start(config.health, [this](std::string_view why) {
-                          ++refused_connections_;
-                          note_malformed({}, fmt::format("{}, on the health endpoint; its connection was closed", why));
+    TM_ASSIGN_OR_RETURN(health,
+                        control::HealthServer::start(config.health, [this](std::string_view who, std::string_view why) {
+                          note_connection("health", who, why);
                         }));
     health_ = std::move(health);
     set_health("live", true);
@@ -100,11 +117,16 @@ Result<void> Daemon::open(const Config& config, const Process& process) {
   }
   // The control endpoint opens later: until its scenes are loaded, the daemon would answer that they do not exist.
   if (keeper_) keeper_->bring_back(registry_, process.stop_asked);
-  const auto on_refused = [this](std::string_view why) {
-    ++refused_connections_;
-    registry_.refusals().count(control::Limit::kControlConnection);
-    note_malformed({}, fmt::format("{}, on the control endpoint; its connection was closed", why));
-  };
+  const control::ControlServer::OnRefused on_refused{
+      .connection =
+          [this](std::string_view who, std::string_view why) {
+            registry_.refusals().count(control::Limit::kControlConnection);
+            note_connection("control", who, why);
+          },
+      .call =
+          [this](bool by_role, const Refused& call) {
+            journal_.note(by_role ? Journal::Kind::kRole : Journal::Kind::kCall, "refused", call);
+          }};
   TM_ASSIGN_OR_RETURN(server, control::ControlServer::start(
                                   config.control, registry_, identity_, [this] { return malformed_count(); },
                                   on_refused, keys_.get(), [this] { return metrics_text(); }));
@@ -152,20 +174,24 @@ void Daemon::set_health(const std::string& name, bool serving) {
   if (server_ != nullptr) server_->set_health(name, serving);
 }
 
-void Daemon::receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose) {
+void Daemon::receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose,
+                          const bus::Sender& sender) {
   const auto submitted =
       registry_.find(scene).and_then([&](const control::RunnerPtr& runner) { return runner->submit_pose(tool, pose); });
   if (submitted) return;
-  if (const auto suppressed = refused_poses_.admit()) {
-    log::warn("pose refused", {{"reason", submitted.error().message}, {"more_before", *suppressed}});
-  }
+  journal_.note(Journal::Kind::kPose, "refused",
+                {.who = sender.who(), .what = "a pose", .scene = scene, .reason = submitted.error().message});
 }
 
-void Daemon::note_malformed(std::string_view scene, std::string_view reason) {
-  if (const auto runner = registry_.find(scene)) (*runner)->count_malformed_pose();
-  if (const auto suppressed = malformed_messages_.admit()) {
-    log::warn("malformed message", {{"reason", reason}, {"scene", scene}, {"more_before", *suppressed}});
-  }
+void Daemon::note_malformed(const Refused& message) {
+  if (const auto runner = registry_.find(message.scene)) (*runner)->count_malformed_pose();
+  journal_.note(Journal::Kind::kMessage, "refused", message);
+}
+
+void Daemon::note_connection(std::string_view endpoint, std::string_view who, std::string_view why) {
+  ++refused_connections_;
+  journal_.note(Journal::Kind::kConnection, "closed",
+                {.who = who, .what = fmt::format("a connection to the {} endpoint", endpoint), .reason = why});
 }
 
 std::uint64_t Daemon::malformed_count() const { return bus_->malformed_count() + refused_connections_; }

@@ -13,7 +13,7 @@
 #include "control/control_server.h"
 #include "control/health_server.h"
 #include "control/scene_registry.h"
-#include "core/log.h"
+#include "core/journal.h"
 #include "daemon/config.h"
 #include "daemon/publisher.h"
 #include "daemon/service_manager.h"
@@ -42,8 +42,8 @@ namespace tensormass::daemon {
 ///     client ──pose──> Bus ──> receive_pose ──> SceneRegistry::find ──> Runner::submit_pose, keeps the newest
 ///     client <──force── Bus <── Publisher <── mailboxes of the Runner <── loop
 ///
-/// No thread of a transport waits for a step, and no loop waits for a transport. Refused poses and malformed messages
-/// are counted, and logged at a limited rate.
+/// No thread of a transport waits for a step, and no loop waits for a transport. Refused calls, poses, messages and
+/// clients are counted, and logged at a limited rate.
 class Daemon {
  public:
   /// What the daemon needs of the process around it.
@@ -83,10 +83,11 @@ class Daemon {
   /// Says "live" or "ready" on both health services.
   void set_health(const std::string& name, bool serving);
   /// Gives a pose to its scene. Runs on transports' threads and does not block.
-  void receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose);
-  /// Logs a malformed message and counts it in the status of its scene. `scene` may be empty. Runs on the threads of
-  /// the transports and the doorkeeper.
-  void note_malformed(std::string_view scene, std::string_view reason);
+  void receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose, const bus::Sender& sender);
+  /// Logs a malformed message and counts it in the status of its scene. Runs on the threads of the transports.
+  void note_malformed(const Refused& message);
+  /// Counts and logs a connection to an endpoint that was refused. Runs on the threads of doorkeepers and relays.
+  void note_connection(std::string_view endpoint, std::string_view who, std::string_view why);
   /// Malformed messages on the data plane, plus connections refused on the control port.
   std::uint64_t malformed_count() const;
   /// The answer of GetMetrics and of /metrics.
@@ -94,8 +95,7 @@ class Daemon {
 
   v1::GetVersionResponse identity_;
   WakeUp wake_up_;
-  log::Limiter refused_poses_;
-  log::Limiter malformed_messages_;
+  Journal journal_;
   std::atomic<std::uint64_t> refused_connections_{0};
   control::SceneRegistry registry_;
   std::unique_ptr<StateKeeper> keeper_;    // nullptr: nothing is kept

@@ -1,5 +1,7 @@
+#include <sys/resource.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <csignal>
@@ -9,6 +11,9 @@
 #include <thread>
 #include <utility>
 
+#include "core/bus_limits.h"
+#include "core/http2_limits.h"
+#include "core/log.h"
 #include "daemon/config.h"
 #include "daemon/daemon.h"
 
@@ -20,6 +25,26 @@ constexpr std::chrono::milliseconds kShutdownTime{1500};
 /// Status after a CUDA error that ends the device's use for the process: EX_TEMPFAIL of sysexits.h. A service manager
 /// starts the daemon again, and another process has a device that works.
 constexpr int kDeviceLostStatus = 75;
+
+/// Lets this process have as many descriptors as its limits of connections need together. Peers that hold connections
+/// would otherwise leave none for a scene's files or another client: by default a process may have 1024.
+void allow_descriptors(std::uint32_t zenoh_sessions) {
+  // Client, and both ends of the socket pair to gRPC; of the control endpoint and the one for health.
+  constexpr rlim_t kOfGrpc = 2 * 3 * tensormass::limits::kMaxControlConnections;
+  constexpr rlim_t kOfZeroMq = 2 * tensormass::limits::kMaxZeroMqConnections;
+  constexpr rlim_t kOthers = 1024;
+  const rlim_t wanted = kOfGrpc + kOfZeroMq + zenoh_sessions + kOthers;
+  rlimit files{};
+  if (getrlimit(RLIMIT_NOFILE, &files) != 0 || files.rlim_cur >= wanted) return;
+  files.rlim_cur = std::min(wanted, files.rlim_max);
+  if (setrlimit(RLIMIT_NOFILE, &files) == 0 && files.rlim_cur == wanted) return;
+  tensormass::log::warn(
+      "few descriptors",
+      {{"limit", files.rlim_cur},
+       {"needed", wanted},
+       {"reason", "peers that hold connections can use them up"},
+       {"remedy", "raise the hard limit: LimitNOFILE of systemd, --ulimit nofile of docker, ulimit -Hn"}});
+}
 
 /// The signals that end the daemon.
 sigset_t stop_signals() {
@@ -47,6 +72,8 @@ int main(int argc, char** argv) {
   pthread_sigmask(SIG_BLOCK, &signals, nullptr);
   std::signal(SIGPIPE, SIG_IGN);
   std::signal(SIGXFSZ, SIG_IGN);  // a file of --state beyond a limit of the system is an error of that file
+
+  allow_descriptors(parsed.config.zenoh_sessions);
 
   const daemon::ServiceManager manager;
   static std::atomic<int> exit_status{EXIT_SUCCESS};

@@ -11,6 +11,7 @@
 #include <fmt/format.h>
 
 #include "bus/keys.h"
+#include "core/thread_name.h"
 #include "step/finding_message.h"
 
 namespace tensormass::daemon {
@@ -68,6 +69,7 @@ Publisher::~Publisher() {
 }
 
 void Publisher::run() {
+  name_thread("publisher");
   while (true) {
     const bool last = stop_;
     turned_.store(now(), std::memory_order_relaxed);
@@ -110,12 +112,12 @@ void Publisher::log_recovery(const std::string& name, Scene& scene) {
     if (const auto suppressed = recovery_lines_.admit()) {
       log::warn("scene recovers", {{"scene", name},
                                    {"recoveries", status_.recoveries()},
-                                   {"why", status_.guard_text()},
+                                   {"reason", status_.guard_text()},
                                    {"suppressed", *suppressed}});
     }
   }
   const bool stopped = !status_.fault().empty();
-  if (stopped && !scene.stopped) log::error("scene stopped", {{"scene", name}, {"why", status_.fault()}});
+  if (stopped && !scene.stopped) log::error("scene stopped", {{"scene", name}, {"reason", status_.fault()}});
   scene.stopped = stopped;
 }
 

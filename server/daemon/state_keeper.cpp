@@ -7,6 +7,8 @@
 
 #include <fmt/format.h>
 
+#include "core/thread_name.h"
+
 namespace tensormass::daemon {
 namespace {
 
@@ -151,6 +153,7 @@ void StateKeeper::join_ended() {
 }
 
 void StateKeeper::run(Scene& scene) {
+  name_thread("keep " + scene.name);
   std::unique_lock lock(mutex_);
   while (!scene.ended) {
     wake_.wait_for(lock, scene.next, [&] { return scene.ended || (scene.last && !scene.taken); });

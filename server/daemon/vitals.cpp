@@ -8,6 +8,7 @@
 
 #include "core/log.h"
 #include "core/state_limits.h"
+#include "core/thread_name.h"
 
 namespace tensormass::daemon {
 namespace {
@@ -37,6 +38,7 @@ bool Vitals::is_live(const std::vector<control::RunnerPtr>& scenes) const {
 }
 
 void Vitals::run() {
+  name_thread("vitals");
   const auto watchdog = watched_.manager.watchdog();
   const auto look = watchdog ? std::min(kLook, *watchdog / 4) : kLook;
   std::optional<bool> was_live;

@@ -153,7 +153,7 @@ DaemonMetrics read_metrics(const control::SceneRegistry& registry, const v1::Get
                     .memory_bytes = control::Admission::resident_bytes(),
                     .memory_limit_bytes = registry.admission_limits().all_bytes,
                     .refusals = &registry.refusals(),
-                    .losses = &registry.recording_losses(),
+                    .losses = registry.recording_losses(),
                     .bus = bus};
   for (const control::RunnerPtr& runner : registry.list()) out.scenes.push_back(runner->metrics());
   return out;
@@ -189,10 +189,14 @@ std::string to_text(const DaemonMetrics& metrics) {
   write_by_carrier(out, metrics.bus.refusals, "reason", bus::kRefusalNames);
   out.begin({"tensormass_recording_losses_total", Type::kCounter,
              "Steps and checks that did not reach the client of a recording, and recordings that ended for it."});
-  for (const auto& [what, count] :
-       {std::pair{"steps", read(metrics.losses->steps)}, std::pair{"checks", read(metrics.losses->checks)},
-        std::pair{"recordings", read(metrics.losses->recordings)}}) {
-    out.sample({{"what", what}}, count);
+  for (const SceneMetrics& scene : metrics.scenes) {
+    const auto found = metrics.losses.find(scene.status.scene());
+    const control::RecordingLosses none;
+    const control::RecordingLosses& losses = found != metrics.losses.end() ? *found->second : none;
+    for (const auto& [what, count] : {std::pair{"steps", &losses.steps}, std::pair{"checks", &losses.checks},
+                                      std::pair{"recordings", &losses.recordings}}) {
+      out.sample({{"scene", scene.status.scene()}, {"what", what}}, read(*count));
+    }
   }
   for (const SceneFamily& each : kSceneFamilies) {
     out.begin(each.family);

@@ -23,8 +23,8 @@ struct DaemonMetrics {
   v1::GetVersionResponse identity;
   std::uint64_t malformed_messages = 0;
   double memory_bytes = 0, memory_limit_bytes = 0;
-  const control::Refusals* refusals;       ///< outlives this
-  const control::RecordingLosses* losses;  ///< outlives this
+  const control::Refusals* refusals;  ///< outlives this
+  control::SceneRegistry::LossesOfScenes losses{};
   bus::BusCounts bus{};
   std::vector<world::SceneMetrics> scenes{};  ///< at most limits::kMaxScenes
 };

@@ -19,6 +19,7 @@
 #include <boost/beast/version.hpp>
 
 #include "core/metrics_limits.h"
+#include "core/thread_name.h"
 
 namespace tensormass::metrics {
 namespace {
@@ -130,6 +131,7 @@ struct MetricsServer::Parts {
   }
 
   void run() {
+    name_thread("metrics");
     while (!context.stopped()) {
       try {
         context.run();

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import socket
 import struct
@@ -139,7 +140,10 @@ def test_scene_of_a_client_that_fell_silent_is_free_again(server: tm.Server) -> 
         stub.AdjustScene(control_pb2.AdjustSceneRequest(scene="stopped", changes=changes), timeout=DEADLINE_S)
         wait_until(False, stub, "windowless")
         metrics = stub.GetMetrics(control_pb2.GetMetricsRequest()).text
-        assert '\ntensormass_recording_losses_total{what="recordings"} 1\n' in metrics
+        assert '\ntensormass_recording_losses_total{scene="windowless",what="recordings"} 1\n' in metrics
+        assert server.log_file is not None
+        told = r"closed who=127\.0\.0\.1:\d+ what=tensormass\.v1\.Control/RecordScene scene=windowless reason="
+        assert re.search(told, server.log_file.read_text())
         wait_until(False, stub, "stopped")
         # Nothing came for as long, because the scene stands still; yet this client reads, so the scene stays its own.
         assert is_recorded(stub, "honest")

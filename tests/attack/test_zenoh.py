@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import json
+import socket
+import threading
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -25,6 +31,7 @@ from tensormass.v1 import stream_pb2
 
 SCENE = "tensormass/local/block"
 FEEDBACK, POSE = f"{SCENE}/tool/probe/feedback", f"{SCENE}/tool/probe/pose"
+IGNORE: zenoh.handlers.Callback[object] = zenoh.handlers.Callback(lambda _: None, indirect=False)
 STREAMS = (f"{SCENE}/frame", f"{SCENE}/topology", f"{SCENE}/status", FEEDBACK)
 
 
@@ -185,6 +192,190 @@ def test_subscriptions_are_bounded(server: tm.Server, record_property: Callable[
             del held
         heard.keys.clear()
         wait_for("frames of an honest client", lambda: f"{SCENE}/frame" in heard.keys)
+
+
+def refused_peers(server: tm.Server) -> float:
+    return count_of(server, "tensormass_bus_refusals_total", transport="zenoh", reason="subscriptions")
+
+
+@pytest.mark.attack("subscriptions with keys of 60,000 bytes over zenoh", "kept: 15 MiB a connection")
+def test_long_keys_are_refused(server: tm.Server) -> None:
+    before = refused_peers(server)
+    with stranger(server) as honest, stranger(server) as attacker:
+        heard = Heard(honest, f"{SCENE}/**")
+        held = attacker.declare_subscriber(f"tensormass/local/{'x' * 60_000}/frame", IGNORE)
+        wait_for("the end of the connection", lambda: refused_peers(server) > before)
+        heard.keys.clear()
+        wait_for("frames of an honest client", lambda: f"{SCENE}/frame" in heard.keys)
+        del held
+
+
+class Meddler:
+    """Between a client of zenoh and the daemon: passes on what they send, or stops to read, or sends more."""
+
+    def __init__(self, server: tm.Server) -> None:
+        host, port = server.version().zenoh_locator.removeprefix("tcp/").split(":")
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._daemon = socket.socket()
+        self._daemon.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        self._daemon.connect((host, int(port)))
+        self._stop = threading.Event()
+        self.last_frame = b""
+        locator = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
+        up = threading.Thread(target=self._pass_up, daemon=True)
+        up.start()
+        config = zenoh.Config()
+        for key, value in {
+            "mode": "client",
+            "connect/endpoints": [locator],
+            "scouting/multicast/enabled": False,
+            "transport/shared_memory/enabled": False,
+        }.items():
+            config.insert_json5(key, json.dumps(value))
+        self.session = zenoh.open(config)
+
+    def stop_reading(self) -> None:
+        self._stop.set()
+
+    def send(self, batch: bytes) -> None:
+        self._daemon.sendall(len(batch).to_bytes(2, "little") + batch)
+
+    def was_closed(self) -> bool:
+        """Whether the daemon ends the connection."""
+        with contextlib.suppress(ConnectionResetError):
+            while self._daemon.recv(1 << 16):
+                pass
+        return True
+
+    def close(self) -> None:
+        self._daemon.close()
+        self._client.close()
+        self._listener.close()
+        with contextlib.suppress(zenoh.ZError):  # its connection is gone
+            self.session.close()
+
+    def _pass_up(self) -> None:
+        self._client, _ = self._listener.accept()
+        threading.Thread(target=self._pass_down, daemon=True).start()
+        file = self._client.makefile("rb")
+        try:
+            while len(size := file.read(2)) == 2:
+                batch = file.read(int.from_bytes(size, "little"))
+                self._daemon.sendall(size + batch)
+                if batch[0] & 0x1F == FRAME_ID:
+                    self.last_frame = batch
+        except OSError:
+            pass
+
+    def _pass_down(self) -> None:
+        try:
+            while not self._stop.is_set() and (data := self._daemon.recv(4096)):
+                self._client.sendall(data)
+        except OSError:
+            pass
+
+
+#: Ids and flags of zenoh's messages (zenoh-protocol, network/mod.rs and transport/mod.rs).
+FRAME_ID, DECLARE_ID, KEY_ID, HAS_SUFFIX, HAS_EXTENSION, HAS_VALUE = 0x05, 0x1E, 0x00, 0x20, 0x80, 0x20
+
+
+def number(value: int) -> bytes:
+    """An integer of variable length, as zenoh writes it."""
+    out = b""
+    while value > 0x7F:
+        out += bytes([value & 0x7F | 0x80])
+        value >>= 7
+    return out + bytes([value])
+
+
+def end_of_number(data: bytes, at: int) -> int:
+    while data[at] & 0x80:
+        at += 1
+    return at + 1
+
+
+def next_frame(before: bytes, messages: bytes) -> bytes:
+    """A frame after `before`: its header, the next sequence number and its extensions."""
+    end = end_of_number(before, 1)
+    sequence = sum((byte & 0x7F) << 7 * i for i, byte in enumerate(before[1:end]))
+    at = end
+    more = bool(before[0] & HAS_EXTENSION)
+    while more:
+        more = bool(before[at] & HAS_EXTENSION)
+        assert before[at] & 0x60 in (0, HAS_VALUE)
+        at = end_of_number(before, at + 1) if before[at] & HAS_VALUE else at + 1
+    return before[:1] + number(sequence + 1) + before[end:at] + messages
+
+
+@pytest.mark.attack("a client of zenoh gives numbers to 600 keys", "kept: up to 65,535 of 64 KiB each a connection")
+def test_declared_keys_are_bounded(server: tm.Server) -> None:
+    before = refused_peers(server)
+    meddler = Meddler(server)
+    try:
+        held = meddler.session.declare_subscriber(f"{SCENE}/frame", IGNORE)
+        wait_for("the declaration", lambda: meddler.last_frame != b"")
+        meddler.stop_reading()
+        messages = b""
+        for i in range(600):
+            key = f"tensormass/local/k{i}/frame".encode()
+            declaration = bytes([KEY_ID | HAS_SUFFIX]) + number(1000 + i) + number(0) + number(len(key)) + key
+            messages += bytes([DECLARE_ID]) + declaration
+        meddler.send(next_frame(meddler.last_frame, messages))
+        wait_for("the refusal", lambda: refused_peers(server) > before)
+        assert meddler.was_closed()
+        del held
+    finally:
+        meddler.close()
+
+
+@pytest.mark.attack("six clients of zenoh ask and do not read", "no pose reached a scene for 10 s, again and again")
+def test_who_asks_and_does_not_read_delays_nobody(
+    server: tm.Server, record_property: Callable[[str, object], None]
+) -> None:
+    before = refused_peers(server)
+    meddlers = [Meddler(server) for _ in range(6)]
+    ended = threading.Event()
+
+    def ask(session: zenoh.Session) -> None:
+        with contextlib.suppress(zenoh.ZError):
+            while not ended.is_set():
+                session.get("tensormass/local/**", IGNORE, congestion_control=zenoh.CongestionControl.BLOCK)
+
+    threads = [threading.Thread(target=ask, args=(meddler.session,), daemon=True) for meddler in meddlers]
+    answers: list[float] = []  # when a new pose was answered
+    with stranger(server) as hand:
+        heard = Heard(hand, FEEDBACK)
+        sequence = PoseSequence()
+        sequence.last = seen = 5_000_000
+
+        def answered_more_than(count: int) -> bool:
+            nonlocal seen
+            put(hand, POSE, sequence.next(IN_AIR_M, None).SerializeToString())
+            if heard.answered > seen:
+                seen = heard.answered
+                answers.append(time.monotonic())
+            return len(answers) > count
+
+        def is_cut() -> bool:
+            return answered_more_than(0) and refused_peers(server) >= before + len(meddlers)
+
+        try:
+            wait_for("the hand", lambda: answered_more_than(0))
+            for meddler, thread in zip(meddlers, threads, strict=True):
+                meddler.stop_reading()
+                thread.start()
+            wait_for("the end of those who ask", is_cut)
+            last = len(answers)
+            wait_for("the hand's poses", lambda: answered_more_than(last))
+        finally:
+            ended.set()
+            for meddler in meddlers:
+                meddler.close()
+    longest_s = max(after - one for one, after in itertools.pairwise(answers))
+    record_property("now", f"disconnected; poses waited for {longest_s:.2f} s at most")
+    for thread in threads:
+        thread.join(DEADLINE_S)
+    assert longest_s < 4
 
 
 @pytest.mark.attack("forged streams and large messages over zenoh are dropped", "and nothing counted them")

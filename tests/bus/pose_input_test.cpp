@@ -16,9 +16,10 @@ class PoseInputTest : public testing::Test {
   std::vector<v1::ToolPose> poses;
   std::vector<std::string> refused_scenes;
   BusCounters counters;
-  PoseInput input{"host",
-                  [this](std::string_view, std::string_view, const v1::ToolPose& pose) { poses.push_back(pose); },
-                  [this](std::string_view scene, std::string_view) { refused_scenes.emplace_back(scene); }, counters};
+  PoseInput input{
+      "host",
+      [this](std::string_view, std::string_view, const v1::ToolPose& pose, const Sender&) { poses.push_back(pose); },
+      [this](const Refused& refused) { refused_scenes.emplace_back(refused.scene); }, counters};
   const std::string key = pose_key("host", "demo", "probe");
 };
 

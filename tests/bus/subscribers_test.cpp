@@ -1,6 +1,7 @@
 #include "bus/zeromq/subscribers.h"
 
 #include <array>
+#include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -95,7 +96,11 @@ TEST_F(SubscribersTest, RefusesWhoseClientOrSubscriptionDoesNotCountAnyMore) {
   const auto may = [](std::string_view client, std::string_view subscription) {
     return client != "other role" || subscription != feedback(1);
   };
-  EXPECT_EQ(subscribers_.refuse_removed(counts, may), (std::vector<int>{1, 2}));
+  std::vector<std::string> refused;
+  for (const auto& each : subscribers_.refuse_removed(counts, may)) {
+    refused.push_back(std::to_string(each.descriptor) + " " + std::string(each.client));
+  }
+  EXPECT_EQ(refused, (std::vector<std::string>{"1 removed", "2 other role"}));
   EXPECT_TRUE(subscribers_.refuse_removed(counts, may).empty()) << "once";
   EXPECT_EQ(subscribe(as(0, "stays"), feedback(2)), Verdict::kAccepted);
   EXPECT_EQ(subscribe(as(2, "other role"), feedback(0)), Verdict::kIgnored);

@@ -69,10 +69,10 @@ class BusOnFreePorts {
     options.server = kServer;
     if (zeromq) options.zeromq_publish_endpoint = options.zeromq_pose_endpoint = "tcp://127.0.0.1:*";
     if (zenoh) options.zenoh_listen = "tcp/127.0.0.1:0";
-    options.on_pose = [this](std::string_view scene, std::string_view tool, const v1::ToolPose& pose) {
+    options.on_pose = [this](std::string_view scene, std::string_view tool, const v1::ToolPose& pose, const Sender&) {
       poses.add({std::string(scene), std::string(tool), pose});
     };
-    options.on_malformed = [this](std::string_view scene, std::string_view) { malformed.add(std::string(scene)); };
+    options.on_malformed = [this](const Refused& refused) { malformed.add(std::string(refused.scene)); };
     auto opened = Bus::open(options);
     if (!opened) throw std::runtime_error(opened.error().message);
     bus = std::move(*opened);

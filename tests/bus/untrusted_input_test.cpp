@@ -202,8 +202,13 @@ TEST(Zenoh, AClientWithTooManySubscriptionsIsDisconnected) {
 
 TEST(Zenoh, BeyondTheSumOfSubscriptionsTheClientWithMostIsDisconnected) {
   BusOnFreePorts with_log(false, true);  // which counts need
-  auto server =
-      zenoh::Session::open({.listen = "tcp/127.0.0.1:0", .max_declarations = 100, .max_declarations_of_all = 20});
+  auto server = zenoh::Session::open({.listen = "tcp/127.0.0.1:0",
+                                      .max_declarations = 100,
+                                      .max_declarations_of_all = 20,
+                                      .max_keys = 100,
+                                      .max_key_bytes = 100,
+                                      .max_requests = 1000,
+                                      .max_requests_per_s = 1000});
   ASSERT_TRUE(server) << server.error().message;
   auto most = zenoh::Session::open({.connect = server->locator()}),
        fewer = zenoh::Session::open({.connect = server->locator()});

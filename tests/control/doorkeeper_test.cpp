@@ -6,7 +6,11 @@
 
 #include <atomic>
 #include <chrono>
+#include <memory>
+#include <stdexcept>
+#include <string>
 #include <string_view>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -22,18 +26,20 @@ bool eventually(const Condition& condition) {
   return tests::eventually(condition, std::chrono::seconds(20));
 }
 
-class DoorkeeperTest : public testing::Test {
+class ClosedDoorTest : public testing::Test {
  protected:
-  DoorkeeperTest() {
+  ClosedDoorTest() {
     auto listening = Doorkeeper::listen("127.0.0.1:0");
     if (!listening) throw std::runtime_error(listening.error().message);
     doorkeeper = std::move(*listening);
+  }
+  void open() {
     doorkeeper->open(
         [this](int descriptor) {
           inside = Descriptor(descriptor);
           ++admitted;
         },
-        [this] { ++refused; });
+        [this](std::string_view) { ++refused; });
   }
 
   Descriptor connect_to_it() {
@@ -55,6 +61,22 @@ class DoorkeeperTest : public testing::Test {
   Descriptor inside;
   std::unique_ptr<Doorkeeper> doorkeeper;
 };
+
+class DoorkeeperTest : public ClosedDoorTest {
+ protected:
+  DoorkeeperTest() { open(); }
+};
+
+TEST_F(ClosedDoorTest, AdmitsAllThatConnectedWhileItDidNotLook) {
+  std::vector<Descriptor> clients;
+  for (int i = 0; i < 100; ++i) {
+    clients.push_back(connect_to_it());
+    say(clients.back(), kPreface);
+  }
+  open();
+  EXPECT_TRUE(eventually([&] { return admitted == 100; }));
+  EXPECT_EQ(refused, 0);
+}
 
 TEST_F(DoorkeeperTest, AdmitsAConnectionThatSendsTheWholePreface) {
   const Descriptor client = connect_to_it();

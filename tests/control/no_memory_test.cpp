@@ -58,7 +58,7 @@ class NoMemory : public testing::Test {
       try {
         call();
       } catch (const std::bad_alloc&) {
-        // gRPC answers the call; unreadable_request.h says how.
+        // gRPC answers the call; refused_calls.h says how.
       }
       const bool failed = countdown.exchange(0) <= 0;
       after(failed);

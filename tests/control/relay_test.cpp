@@ -4,8 +4,10 @@
 #include <poll.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <csignal>
 #include <future>
@@ -58,7 +60,7 @@ class RelayTest : public testing::Test {
 
   Descriptor client, inner;
   std::atomic<int> refused{0};
-  Relay relay{[this](int descriptor) { inner = Descriptor(descriptor); }, [this](std::string_view) { ++refused; }};
+  Relay relay{[this](int descriptor) { inner = Descriptor(descriptor); }, [this](auto&&...) { ++refused; }};
 };
 
 TEST_F(RelayTest, CarriesBytesBothWays) {
@@ -121,7 +123,7 @@ TEST_F(RelayTest, WhoWaitsWithAHalfSentMessageMakesRoomForWhoSends) {
   std::vector<Descriptor> of_grpc, clients;
   std::vector<std::string> reasons;
   Relay bounded([&](int descriptor) { of_grpc.emplace_back(descriptor); },
-                [&](std::string_view why) { reasons.emplace_back(why); }, {}, {.max_bytes = kMax});
+                [&](std::string_view, std::string_view why) { reasons.emplace_back(why); }, {}, {.max_bytes = kMax});
   const auto half_send = [&](std::size_t bytes) {
     int ends[2];
     ASSERT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, ends), 0);
@@ -162,19 +164,67 @@ bool allow_files() {
   return setrlimit(RLIMIT_NOFILE, &files) == 0;
 }
 
-TEST(Relay, RefusesMoreConnectionsThanItsLimit) {
-  if (!allow_files()) GTEST_SKIP() << "a process may not open " << kFiles << " files here";
-  std::vector<Descriptor> clients, inner;
-  int refused = 0;
-  Relay relay([&](int descriptor) { inner.emplace_back(descriptor); }, [&](std::string_view) { ++refused; });
-  for (std::size_t i = 0; i <= limits::kMaxControlConnections; ++i) {
+class FullRelay : public testing::Test {
+ protected:
+  void SetUp() override {
+    if (!allow_files()) GTEST_SKIP() << "a process may not open " << kFiles << " files here";
+    for (std::size_t i = 0; i < limits::kMaxControlConnections; ++i) connect();
+    ASSERT_EQ(admitted, limits::kMaxControlConnections);
+  }
+  void connect() {
     int ends[2];
     ASSERT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, ends), 0);
     clients.emplace_back(ends[0]);
     relay.add(ends[1]);
   }
-  EXPECT_EQ(refused, 1);
-  EXPECT_EQ(inner.size(), limits::kMaxControlConnections);
+  /// Begins a call, which does not end, on the n-th connection. Returns when the relay has passed it on.
+  void begin_call(std::size_t n) {
+    std::string bytes = "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+    bytes += std::string("\0\0\1\1\4\0\0\0\1x", 10);  // the headers of stream 1, of one byte
+    ASSERT_EQ(write(clients[n].get(), bytes.data(), bytes.size()), static_cast<ssize_t>(bytes.size()));
+    std::array<char, 64> passed{};
+    ASSERT_TRUE(eventually([&] { return read(inner[n].get(), passed.data(), passed.size()) > 0; }));
+  }
+  /// Returns whether the relay has closed the n-th connection.
+  bool is_closed(std::size_t n) {
+    std::array<char, 256> bytes{};
+    ssize_t size = 0;
+    while ((size = read(clients[n].get(), bytes.data(), bytes.size())) > 0) continue;
+    return size == 0;
+  }
+  template <class Condition>
+  static bool eventually(const Condition& condition) {
+    return tests::eventually(condition, std::chrono::seconds(20));
+  }
+
+  std::vector<Descriptor> clients, inner;
+  std::atomic<std::size_t> admitted{0}, refused{0};
+  // Last, because its thread uses the others.
+  Relay relay{[this](int descriptor) {
+                inner.emplace_back(descriptor);
+                ++admitted;
+              },
+              [this](auto&&...) { ++refused; }};
+};
+
+TEST_F(FullRelay, TheConnectionWithoutACallForLongestMakesRoom) {
+  begin_call(0);
+  connect();
+  EXPECT_TRUE(eventually([&] { return admitted == limits::kMaxControlConnections + 1; }));
+  EXPECT_TRUE(eventually([&] { return is_closed(1); }));
+  EXPECT_FALSE(is_closed(0)) << "it has a call";
+  EXPECT_FALSE(is_closed(2));
+  EXPECT_FALSE(is_closed(clients.size() - 1));
+  EXPECT_EQ(refused, 1u);
+}
+
+TEST_F(FullRelay, RefusesOneMoreIfEachHasACall) {
+  for (std::size_t i = 0; i < limits::kMaxControlConnections; ++i) begin_call(i);
+  connect();
+  EXPECT_TRUE(eventually([&] { return is_closed(clients.size() - 1); }));
+  EXPECT_FALSE(is_closed(0));
+  EXPECT_EQ(refused, 1u);
+  EXPECT_EQ(admitted, limits::kMaxControlConnections);
 }
 
 /// Connects one more client, whose end blocks, to a relay.
@@ -207,7 +257,7 @@ TEST(Relay, PeersThatShakeHandsTakeNoPlaceOfAClient) {
         const Descriptor inner(descriptor);
         ++let_in;
       },
-      [&](std::string_view) { ++refused; },
+      [&](auto&&...) { ++refused; },
       {.tls = tls->get(), .knows = [](std::string_view name) { return name == tests::KeyFolder::kName; }});
   std::vector<Descriptor> clients;
   const auto connect = [&] { connect_blocking(relay, clients); };
@@ -231,7 +281,7 @@ TEST(Relay, AKeyHasAPartOfTheConnections) {
         inner.emplace_back(descriptor);
         ++let_in;
       },
-      [&](std::string_view) { ++refused; },
+      [&](auto&&...) { ++refused; },
       {.tls = tls->get(), .knows = [](std::string_view name) { return name == tests::KeyFolder::kName; }});
   std::vector<Descriptor> clients;
   const auto connect = [&] {

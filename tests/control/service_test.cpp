@@ -3,9 +3,12 @@
 #include <chrono>
 #include <limits>
 #include <memory>
+#include <mutex>
+#include <string>
 #include <thread>
 #include <vector>
 
+#include <fmt/format.h>
 #include <grpcpp/generic/generic_stub.h>
 #include <grpcpp/grpcpp.h>
 #include <gtest/gtest.h>
@@ -34,7 +37,13 @@ class ServiceTest : public testing::Test {
 
   Result<std::unique_ptr<ControlServer>> start(const std::string& address) {
     return ControlServer::start(
-        address, registry, identity(), [] { return std::uint64_t{7}; }, [this](std::string_view) { ++refused; },
+        address, registry, identity(), [] { return std::uint64_t{7}; },
+        {.connection = [this](auto&&...) { ++refused; },
+         .call =
+             [this](bool by_role, const Refused& call) {
+               const std::lock_guard lock(mutex);
+               told.push_back(fmt::format("{} {} {} {}", by_role, call.what, call.scene, call.reason));
+             }},
         nullptr, [] { return std::string("x 1\n"); });
   }
 
@@ -81,6 +90,8 @@ class ServiceTest : public testing::Test {
 
   SceneRegistry registry{{.backend = world::BackendChoice::kCpu, .cpu_threads = 1}, [] {}};
   std::atomic<int> refused{0};
+  std::mutex mutex;
+  std::vector<std::string> told;  // guarded by mutex
   std::unique_ptr<ControlServer> server;
   std::shared_ptr<grpc::Channel> channel;
   std::unique_ptr<v1::Control::Stub> stub;
@@ -92,6 +103,18 @@ TEST_F(ServiceTest, GetMetricsReturnsTheText) {
   v1::GetMetricsResponse response;
   ASSERT_TRUE(call(&Stub::GetMetrics, v1::GetMetricsRequest(), response).ok());
   EXPECT_EQ(response.text(), "x 1\n");
+}
+
+TEST_F(ServiceTest, TellsOfEachCallThatIsRefused) {
+  EXPECT_EQ(code(&Stub::StepScene, of_scene<v1::StepSceneRequest>("liver")), grpc::StatusCode::INVALID_ARGUMENT);
+  v1::InspectSceneRequest inspected;
+  inspected.mutable_scene()->set_name("kidney");
+  EXPECT_EQ(code(&Stub::InspectScene, inspected), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(code(&Stub::GetStatus, of_scene<v1::GetStatusRequest>("absent")), grpc::StatusCode::NOT_FOUND);
+  const std::lock_guard lock(mutex);
+  ASSERT_EQ(told.size(), 2u) << "a client that waits for its scene asks again and again";
+  EXPECT_TRUE(told[0].starts_with("false tensormass.v1.Control/StepScene liver count: 0 is not within")) << told[0];
+  EXPECT_TRUE(told[1].starts_with("false tensormass.v1.Control/InspectScene kidney ")) << told[1];
 }
 
 TEST_F(ServiceTest, GetVersionReturnsTheIdentity) {

@@ -83,6 +83,7 @@ class Process {
   Process(const Process&) = delete;
   Process& operator=(const Process&) = delete;
 
+  pid_t id() const { return child_; }
   void kill(int signal) const { ::kill(child_, signal); }
   bool running() {
     if (!status_) {

@@ -4,7 +4,9 @@
 #include <sys/stat.h>
 
 #include <atomic>
+#include <filesystem>
 #include <random>
+#include <set>
 
 #include <zmq.hpp>
 
@@ -338,7 +340,7 @@ TEST(Daemon, GarbageOnEveryEndpointIsCountedAndSurvived) {
   PoseWriter hand(daemon.endpoint("zeromq_pose"));
   Reader<v1::ToolFeedback> feedback(daemon.endpoint("zeromq_publish"), bus::feedback_key("local", "block", "probe"));
   press(hand, feedback);
-  EXPECT_NE(daemon.log().find("malformed message"), std::string::npos) << daemon.log();
+  EXPECT_NE(daemon.log().find("refused who="), std::string::npos) << daemon.log();
 }
 
 TEST(Daemon, AMalformedPoseIsCountedInTheStatusOfItsScene) {
@@ -414,6 +416,26 @@ TEST(Daemon, TheReadyFileFollowsLinksAndReplacesOnlyRegularFiles) {
   replaced.kill(SIGTERM);
   EXPECT_EQ(replaced.wait(), 0);
   EXPECT_EQ(read_file(folder / "ready"), "of another daemon");
+}
+
+TEST(Daemon, ItsThreadsHaveNames) {
+  TemporaryFolder folder;
+  DaemonProcess daemon({"--state", (folder / "state").string(), "--metrics", "127.0.0.1:0"});
+  daemon.load(running_block());
+  const std::string own = "/proc/" + std::to_string(daemon.process->id()) + "/";
+  const std::string program = read_file(own + "comm");
+  std::set<std::string> names;
+  int without = 0;
+  for (const auto& thread : std::filesystem::directory_iterator(own + "task")) {
+    const std::string name = read_file(thread.path() / "comm");
+    names.insert(name.substr(0, name.size() - 1));
+    without += name == program;
+  }
+  for (const char* name :
+       {"doorkeeper", "relay", "publisher", "vitals", "metrics", "zeromq poses", "loop block", "keep block"}) {
+    EXPECT_TRUE(names.contains(name)) << name << " of " << testing::PrintToString(names);
+  }
+  EXPECT_LE(without, 1) << "the main thread alone has the program's name: " << testing::PrintToString(names);
 }
 
 TEST(Daemon, LogsJson) {

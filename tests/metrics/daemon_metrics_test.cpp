@@ -53,15 +53,15 @@ world::SceneMetrics invented_scene() {
 TEST(DaemonMetrics, NamesLabelsAndBucketsAreThoseOfTheBaseline) {
   control::Refusals refusals;
   refusals.count(control::Limit::kLongCalls);
-  control::RecordingLosses losses;
-  losses.steps = 13;
-  losses.recordings = 1;
+  const auto losses = std::make_shared<control::RecordingLosses>();
+  losses->steps = 13;
+  losses->recordings = 1;
   DaemonMetrics metrics{.identity = {},
                         .malformed_messages = 9,
                         .memory_bytes = 3 << 20,
                         .memory_limit_bytes = 6 << 20,
                         .refusals = &refusals,
-                        .losses = &losses};
+                        .losses = {{"liver", losses}}};
   metrics.bus.full_queues[0][3] = 11;
   metrics.bus.refusals[1][0] = 12;
   metrics.identity.set_version("1.2.3");

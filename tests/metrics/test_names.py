@@ -171,7 +171,7 @@ ALERTS = [
         [series("tensormass_bus_full_queues_total", "0+2x30", transport="zeromq", stream="feedback")],
         20,
     ),
-    ("TensormassRecordingLosses", [series("tensormass_recording_losses_total", "0+1x30", what="steps")], 20),
+    ("TensormassRecordingLosses", [series("tensormass_recording_losses_total", "0+1x30", scene="a", what="steps")], 20),
 ]
 
 

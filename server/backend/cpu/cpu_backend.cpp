@@ -20,6 +20,7 @@
 #include "backend/saved_state.h"
 #include "backend/step_inputs.h"
 #include "backend/step_reports.h"
+#include "core/thread_name.h"
 #include "model/bind.h"
 #include "solver/newton.h"
 #include "step/run.h"
@@ -189,6 +190,7 @@ class CpuState final : public SceneState {
   }
 
   void work(std::uint32_t patch) {
+    name_thread("step");
     gate_.wait(Gate::kClosed);
     if (gate_ == Gate::kTooFew) return;
     for (;;) {

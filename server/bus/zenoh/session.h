@@ -17,7 +17,7 @@
 ///
 ///     put(key, payload) ──> queue of each peer ──> network    waits milliseconds at most; then a full queue drops it
 ///     network ──> zenoh's threads ──> MessageHandler of a Subscriber
-///     retain(key, payload) ──> table ──> zenoh's threads answer a peer's get(key)
+///     retain(key, payload) ──> table ──> a thread answers a peer's get(key), and waits for the peer
 ///     get(key, timeout) ──> peers, waits ──> MessageHandler on the caller's thread
 ///
 /// Four rules:
@@ -60,8 +60,13 @@ struct SessionOptions {
   /// below 64 KiB, passes whatever the limit. 0: zenoh's own limit, 1 GiB.
   std::uint32_t max_message_bytes = 0;
   /// Subscriptions and interests of a peer, and of all peers; beyond it a peer's connection is closed. 0: no limit.
-  /// They are counted once somebody receives zenoh's log.
+  /// Nor does any of the next four hold then. They are counted once somebody receives zenoh's log.
   std::uint32_t max_declarations = 0, max_declarations_of_all = 0;
+  /// Keys that zenoh keeps for what a peer declares, and the bytes of one. All peers together have
+  /// max_declarations_of_all.
+  std::uint32_t max_keys = 0, max_key_bytes = 0;
+  /// Declarations and queries of a peer: so many at once, and so many a second [1/s] after that.
+  double max_requests = 0, max_requests_per_s = 0;
   /// Sends large messages through shared memory to peers on the same machine that also turned it on.
   bool shared_memory = true;
 };
@@ -113,6 +118,10 @@ class Session {
                                        .max_message_bytes = options.max_message_bytes,
                                        .max_declarations = options.max_declarations,
                                        .max_declarations_of_all = options.max_declarations_of_all,
+                                       .max_keys = options.max_keys,
+                                       .max_key_bytes = options.max_key_bytes,
+                                       .max_requests = options.max_requests,
+                                       .max_requests_per_s = options.max_requests_per_s,
                                        .shared_memory = options.shared_memory};
     Session session(tensormass_zenoh_open(&raw, error.data(), error.size()));
     if (!session.session_) {

@@ -19,8 +19,10 @@ typedef struct tensormass_zenoh_subscriber tensormass_zenoh_subscriber;
 /* Receives one message. Key and payload are valid during the call only. */
 typedef void (*tensormass_zenoh_message_fn)(void* context, const char* key, size_t key_size, const uint8_t* payload,
                                             size_t size);
-/* Receives one log line. The text is valid during the call only and has no terminating zero. */
-typedef void (*tensormass_zenoh_log_fn)(void* context, bool is_error, const char* message, size_t size);
+/* Receives one log line. The texts are valid during the call only and have no terminating zero. who: the peer that was
+ * disconnected for the reason in `message`, the name of its certificate or its address; "": a line of zenoh's own. */
+typedef void (*tensormass_zenoh_log_fn)(void* context, bool is_error, const char* who, size_t who_size,
+                                        const char* message, size_t size);
 
 /* Text may be null, which reads as "". */
 typedef struct {
@@ -48,9 +50,17 @@ typedef struct {
   uint32_t max_sessions;
   uint32_t max_message_bytes;
   /* Subscriptions and interests of a peer, and of all peers together; beyond it a peer's connection is closed. 0: no
-   * limit. Counted only after tensormass_zenoh_set_log. */
+   * limit, and none of the next four. Counted only after tensormass_zenoh_set_log. */
   uint32_t max_declarations;
   uint32_t max_declarations_of_all;
+  /* Keys that zenoh keeps for what a peer declares, and the bytes of one. All peers together have as many as
+   * subscriptions. */
+  uint32_t max_keys;
+  uint32_t max_key_bytes;
+  /* Messages of a peer other than puts, with keys of all connections of one: so many at once, and so many a second
+   * [1/s] after that. */
+  double max_requests;
+  double max_requests_per_s;
   bool shared_memory;
 } tensormass_zenoh_options;
 
@@ -83,6 +93,9 @@ tensormass_zenoh_subscriber* tensormass_zenoh_subscribe(const tensormass_zenoh_s
  * certificates have the same name, and without certificates one a connection. 0: not known, because the session has no
  * max_declarations or nobody receives the log. */
 uint64_t tensormass_zenoh_sender(void);
+/* Writes who that is, for the log: the name of its certificate or its address, cut to `capacity` bytes; "": not known.
+ */
+void tensormass_zenoh_sender_name(char* name, size_t capacity);
 /* Ends the subscription and returns when its function is not running. Must not be called from that function, and must
  * be called before the session is closed. */
 void tensormass_zenoh_unsubscribe(tensormass_zenoh_subscriber* subscriber);
@@ -101,9 +114,9 @@ uint64_t tensormass_zenoh_failed_handshakes(void);
 
 /* What sessions of this process did not take from peers, counted as the failed handshakes are. */
 typedef struct {
-  uint64_t not_allowed; /* messages that access control dropped */
-  uint64_t too_large;   /* messages above max_message_bytes */
-  uint64_t too_many_declarations;
+  uint64_t not_allowed;           /* messages that access control dropped */
+  uint64_t too_large;             /* messages above max_message_bytes */
+  uint64_t too_many_declarations; /* peers that were disconnected for what they declare or ask */
 } tensormass_zenoh_refusals;
 tensormass_zenoh_refusals tensormass_zenoh_refused(void);
 

@@ -42,6 +42,10 @@ Result<void> ZenohTransport::open_session() {
                                .max_message_bytes = limits::kMaxZenohMessageBytes,
                                .max_declarations = limits::kMaxZenohDeclarations,
                                .max_declarations_of_all = limits::kMaxZenohDeclarationsOfAll,
+                               .max_keys = limits::kMaxZenohKeys,
+                               .max_key_bytes = limits::kMaxZenohKeyBytes,
+                               .max_requests = limits::kMaxZenohRequestsAtOnce,
+                               .max_requests_per_s = limits::kMaxZenohRequestsPerS,
                                // Whoever has an account on this machine can read shared memory.
                                .shared_memory = options_.keys == nullptr};
   if (options_.keys != nullptr) {

@@ -101,12 +101,12 @@ class Subscribers {
     }
   }
   /// Refuses the peers whose client does not count any more, or may not have one of its subscriptions any more. Returns
-  /// their descriptors.
+  /// them; their clients' ids live as long as the peers do.
   /// counts: bool(std::string_view client)
   /// may: bool(std::string_view client, std::string_view subscription), the subscription with its zero byte
   template <class Counts, class May>
-  std::vector<int> refuse_removed(const Counts& counts, const May& may) {
-    std::vector<int> descriptors;
+  std::vector<Connection> refuse_removed(const Counts& counts, const May& may) {
+    std::vector<Connection> refused;
     for (const auto& [descriptor, id] : by_descriptor_) {
       Peer& peer = peers_.at(id);
       const auto may_have = [&](const std::string& subscription) { return may(peer.client, subscription); };
@@ -116,9 +116,9 @@ class Subscribers {
       }
       peer.subscriptions.clear();
       peer.refused = true;
-      descriptors.push_back(descriptor);
+      refused.push_back({id, descriptor, peer.client});
     }
-    return descriptors;
+    return refused;
   }
   std::size_t peer_count() const { return peers_.size(); }
 

@@ -20,6 +20,8 @@
 #include "bus/keys.h"
 #include "core/bus_limits.h"
 #include "core/limits.h"
+#include "core/peer_address.h"
+#include "core/thread_name.h"
 
 namespace tensormass::bus {
 namespace {
@@ -78,6 +80,12 @@ bool is_at(int descriptor, const std::string& endpoint) {
   const std::uint16_t port = ntohs(own.ss_family == AF_INET ? reinterpret_cast<sockaddr_in&>(own).sin_port
                                                             : reinterpret_cast<sockaddr_in6&>(own).sin6_port);
   return endpoint.substr(endpoint.rfind(':') + 1) == std::to_string(port);
+}
+
+/// ZeroMQ has no call that ends one connection, but its thread notices the end of the stream. If the connection is gone
+/// and its descriptor belongs to something else by now, that is left alone.
+void end_connection(int descriptor, const std::string& endpoint) {
+  if (is_at(descriptor, endpoint)) shutdown(descriptor, SHUT_RDWR);
 }
 
 }  // namespace
@@ -183,7 +191,7 @@ void ZeroMqTransport::serve_subscriptions() {
   int left = kRequestsPerTurn;
   for (; left > 0 && publisher_.recv(request, zmq::recv_flags::dontwait); --left) {
     // The monitor tells first that a descriptor has another peer: ZeroMQ reports a connection before its requests.
-    count_handshakes(publisher_monitor_);
+    read_events(publisher_monitor_);
     serve_request(request);
   }
   has_requests_ = left == 0;
@@ -202,19 +210,17 @@ void ZeroMqTransport::serve_request(zmq::message_t& request) {
   if (from.id == nullptr) return;
   // ZeroMQ's format: byte 1 and a prefix subscribes, byte 0 and a prefix ends the subscription.
   if (bytes.empty() || bytes.front() > 1 || request.more()) {
-    if (subscribers_.refuse(from, request)) {
-      disconnect(from.descriptor, "not a subscription, on the ZeroMQ publish endpoint; its client was disconnected");
-    }
+    if (subscribers_.refuse(from, request)) disconnect(from, {}, "not a subscription");
     return;
   }
   const std::string_view prefix = bytes.substr(1);
   if (bytes.front() == 0) return subscribers_.unsubscribe(from, prefix);
+  const auto address = parse_stream_key(server_, prefix.substr(0, prefix.empty() ? 0 : prefix.size() - 1));
+  const std::string_view scene = address ? address->scene : std::string_view();
   if (keys_ != nullptr && prefix.ends_with('\0') && !may_subscribe(from.client, prefix.substr(0, prefix.size() - 1))) {
     if (subscribers_.refuse(from, request)) {
       counters_.count_refusal(Carrier::kZeroMq, Refusal::kAccess);
-      disconnect(from.descriptor,
-                 "a subscription that its client's key does not allow, on the ZeroMQ publish endpoint; its client was "
-                 "disconnected");
+      disconnect(from, scene, "a subscription that its client's key does not allow");
     }
     return;
   }
@@ -226,18 +232,13 @@ void ZeroMqTransport::serve_request(zmq::message_t& request) {
     case Subscribers::Verdict::kIgnored:
       return;
     case Subscribers::Verdict::kWrongKey:
-      return disconnect(from.descriptor,
-                        "a subscription to something else than a key of this server's streams with its zero byte, on "
-                        "the ZeroMQ publish endpoint; its client was disconnected");
+      return disconnect(from, {}, "not a key of this server's streams with its zero byte");
     case Subscribers::Verdict::kTooMany:
-      return disconnect(from.descriptor,
-                        "more than kMaxSubscriptionsPerPeer subscriptions, on the ZeroMQ publish endpoint; their "
-                        "client was disconnected");
+      return disconnect(from, scene, "more than kMaxSubscriptionsPerPeer subscriptions");
     case Subscribers::Verdict::kTooManyOfKey:
-      return disconnect(from.descriptor,
-                        "more than kMaxSubscriptionsPerKey subscriptions of a key, on the ZeroMQ publish endpoint; the "
-                        "client that asked for one more was disconnected");
+      return disconnect(from, scene, "more than kMaxSubscriptionsPerKey subscriptions of its key");
     case Subscribers::Verdict::kAccepted:
+      publisher_monitor_.connections.used(from.descriptor);
       break;
   }
   const auto retained = retained_.find(prefix.substr(0, prefix.size() - 1));  // without the zero byte
@@ -259,11 +260,15 @@ void ZeroMqTransport::repeat_retained() {
   }
 }
 
-void ZeroMqTransport::disconnect(int descriptor, std::string_view reason) {
-  input_.refuse({}, reason);
-  // ZeroMQ has no call that ends one connection, but its thread notices the end of the stream. If the connection is
-  // gone and its descriptor belongs to something else by now, that is left alone.
-  if (is_at(descriptor, publish_endpoint_)) shutdown(descriptor, SHUT_RDWR);
+void ZeroMqTransport::disconnect(const Subscribers::Connection& subscriber, std::string_view scene,
+                                 std::string_view reason) {
+  const std::string who =
+      subscriber.client.empty() ? address_of_peer(subscriber.descriptor) : std::string(subscriber.client);
+  input_.refuse({.who = who,
+                 .what = "a subscription over ZeroMQ",
+                 .scene = scene,
+                 .reason = std::string(reason) + "; its client was disconnected"});
+  end_connection(subscriber.descriptor, publish_endpoint_);
 }
 
 std::chrono::milliseconds ZeroMqTransport::sleep_time() {
@@ -286,6 +291,7 @@ void ZeroMqTransport::wake_receiver() {
 }
 
 void ZeroMqTransport::receive_loop() {
+  name_thread("zeromq poses");
   const int subscriptions = publisher_.get(zmq::sockopt::fd);
   const int connections = publisher_monitor_.events.get(zmq::sockopt::fd);
   std::array<zmq::pollitem_t, 6> items{{{poses_.handle(), 0, ZMQ_POLLIN, 0},
@@ -306,11 +312,11 @@ void ZeroMqTransport::receive_loop() {
     try {
       if (authenticator_) authenticate();
       if (poses.revents != 0) receive_poses();
-      count_handshakes(poses_monitor_);
+      read_events(poses_monitor_);
       if (!time_is_up && subscribed.revents == 0 && connected.revents == 0 && wake.revents == 0) continue;
       const std::lock_guard lock(mutex_);
       serve_subscriptions();
-      count_handshakes(publisher_monitor_);
+      read_events(publisher_monitor_);
       if (keys_changed_.exchange(false)) cut_removed();
     } catch (const std::bad_alloc&) {
       // What could not be served is dropped; the thread must go on.
@@ -321,21 +327,21 @@ void ZeroMqTransport::receive_loop() {
 void ZeroMqTransport::receive_poses() {
   zmq::message_t message;
   for (int count = 0; count < kPosesPerTurn && poses_.recv(message, zmq::recv_flags::dontwait); ++count) {
+    const int descriptor = zmq_msg_get(message.handle(), ZMQ_SRCFD);
     if (!message.more()) {
       const char* const sender = keys_ != nullptr ? zmq_msg_gets(message.handle(), "User-Id") : nullptr;
       // A key's connections count together, and without keys each for itself.
-      const std::uint64_t number = sender != nullptr
-                                       ? std::hash<std::string_view>()(sender)
-                                       : static_cast<std::uint64_t>(zmq_msg_get(message.handle(), ZMQ_SRCFD));
-      input_.receive_framed(message.to_string_view(), {Carrier::kZeroMq, number, sender != nullptr ? sender : ""});
-      if (sender != nullptr && keys_->find(sender) == nullptr) {
-        const int descriptor = zmq_msg_get(message.handle(), ZMQ_SRCFD);
-        if (is_at(descriptor, pose_endpoint_)) shutdown(descriptor, SHUT_RDWR);
-      }
+      const std::uint64_t number =
+          sender != nullptr ? std::hash<std::string_view>()(sender) : static_cast<std::uint64_t>(descriptor);
+      input_.receive_framed(message.to_string_view(),
+                            {Carrier::kZeroMq, number, sender != nullptr ? sender : "", descriptor});
+      poses_monitor_.connections.used(descriptor);
+      if (sender != nullptr && keys_->find(sender) == nullptr) end_connection(descriptor, pose_endpoint_);
       continue;
     }
     while (message.more() && poses_.recv(message, zmq::recv_flags::dontwait)) continue;
-    input_.refuse({}, "more than one frame, on the ZeroMQ pose endpoint");
+    const std::string who = address_of_peer(descriptor);
+    input_.refuse({.who = who, .what = "a pose over ZeroMQ", .reason = "more than one frame"});
   }
 }
 
@@ -351,10 +357,9 @@ void ZeroMqTransport::cut_removed() {
   const auto may = [this](std::string_view client, std::string_view subscription) {
     return may_subscribe(client, subscription.substr(0, subscription.size() - 1));
   };
-  for (const int descriptor : subscribers_.refuse_removed(counts, may)) {
-    disconnect(descriptor,
-               "a subscriber whose key was removed, has expired, or does not allow its subscriptions any more; it was "
-               "disconnected");
+  for (const Subscribers::Connection& subscriber : subscribers_.refuse_removed(counts, may)) {
+    disconnect(subscriber, {},
+               "a subscriber whose key was removed, has expired, or does not allow its subscriptions any more");
   }
 }
 
@@ -391,7 +396,7 @@ void ZeroMqTransport::authenticate() {
   }
 }
 
-void ZeroMqTransport::count_handshakes(Monitor& monitor) {
+void ZeroMqTransport::read_events(Monitor& monitor) {
   const auto now = std::chrono::steady_clock::now();
   zmq::message_t part;
   while (monitor.events.recv(part, zmq::recv_flags::dontwait)) {
@@ -402,15 +407,35 @@ void ZeroMqTransport::count_handshakes(Monitor& monitor) {
     std::int32_t descriptor = 0;
     std::memcpy(&event, part.data(), sizeof(event));
     std::memcpy(&descriptor, part.data<char>() + sizeof(event), sizeof(descriptor));
-    if (event == ZMQ_EVENT_ACCEPTED) monitor.handshakes.accepted(descriptor, now);
-    if (event == ZMQ_EVENT_HANDSHAKE_SUCCEEDED) monitor.handshakes.succeeded();
-    if (event == ZMQ_EVENT_DISCONNECTED) monitor.handshakes.disconnected(descriptor);
+    const bool publishes = &monitor == &publisher_monitor_;
     const bool another_peer = event == ZMQ_EVENT_ACCEPTED || event == ZMQ_EVENT_DISCONNECTED;
-    if (another_peer && &monitor == &publisher_monitor_) subscribers_.forget(descriptor, now);
+    if (another_peer && publishes) subscribers_.forget(descriptor, now);
+    if (event == ZMQ_EVENT_ACCEPTED) {
+      monitor.handshakes.accepted(descriptor, now);
+      end_one_too_many(monitor, descriptor, publishes ? publish_endpoint_ : pose_endpoint_);
+    }
+    if (event == ZMQ_EVENT_HANDSHAKE_SUCCEEDED) monitor.handshakes.succeeded();
+    if (event == ZMQ_EVENT_DISCONNECTED) {
+      monitor.handshakes.disconnected(descriptor);
+      monitor.connections.disconnected(descriptor);
+    }
   }
   for (std::int64_t refused = monitor.handshakes.take_refused(now); refused > 0; --refused) {
-    input_.refuse({}, "a peer that left before the handshake, or does not speak ZeroMQ");
+    input_.refuse({.what = "a connection over ZeroMQ",
+                   .reason = "a peer that left before the handshake, or does not speak ZeroMQ"});
   }
+}
+
+void ZeroMqTransport::end_one_too_many(Monitor& monitor, int descriptor, const std::string& endpoint) {
+  const auto ended = monitor.connections.accepted(descriptor, std::chrono::steady_clock::now(),
+                                                  [&](int each) { return is_at(each, endpoint); });
+  if (!ended) return;
+  counters_.count_refusal(Carrier::kZeroMq, Refusal::kConnections);
+  const std::string who = address_of_peer(*ended);
+  input_.refuse({.who = who,
+                 .what = "a connection over ZeroMQ",
+                 .reason = "more than kMaxZeroMqConnections connections; the oldest that had sent nothing made room"});
+  end_connection(*ended, endpoint);
 }
 
 }  // namespace tensormass::bus

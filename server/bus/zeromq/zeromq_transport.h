@@ -16,6 +16,7 @@
 #include "bus/bus_counts.h"
 #include "bus/pose_input.h"
 #include "bus/transport.h"
+#include "bus/zeromq/connections.h"
 #include "bus/zeromq/handshake_counter.h"
 #include "bus/zeromq/subscribers.h"
 #include "core/result.h"
@@ -44,7 +45,7 @@ struct ZeroMqOptions {
 ///
 ///     receiver thread, too:
 ///     PUSH sockets of clients ──> PULL socket ──> receive_poses() ──> PoseInput
-///     monitors of both sockets ──> count_handshakes() ──> PoseInput::refuse
+///     monitors of both sockets ──> read_events() ──> PoseInput::refuse; a connection too many ends
 ///     authenticator_, with keys: ZeroMQ asks by ZAP whether a CURVE key is let in ──> authenticate()
 ///     wake_event_ ──> a repetition of a retained message is due later, requests are left, or the thread must end
 ///
@@ -83,6 +84,7 @@ class ZeroMqTransport final : public Transport {
     Monitor(zmq::context_t& context, zmq::socket_t& socket, const std::string& name);
     zmq::socket_t events;
     HandshakeCounter handshakes;
+    Connections connections{limits::kMaxZeroMqConnections};
   };
 
   struct Retained {
@@ -103,8 +105,10 @@ class ZeroMqTransport final : public Transport {
   bool may_subscribe(std::string_view client, std::string_view key) const;
   /// Passes at most kPosesPerTurn poses to `input_`.
   void receive_poses();
-  /// Reads the monitor's events and refuses each peer that failed the handshake.
-  void count_handshakes(Monitor& monitor);
+  /// Reads the monitor's events, refuses each peer that failed the handshake, and ends connections beyond the limit.
+  void read_events(Monitor& monitor);
+  /// Notes a connection to `endpoint`, and ends one if there are too many.
+  void end_one_too_many(Monitor& monitor, int descriptor, const std::string& endpoint);
   /// Reads at most kRequestsPerTurn requests of the XPUB socket, disconnects peers that may not subscribe, and repeats
   /// the retained messages that are wanted and due. The caller must hold mutex_.
   void serve_subscriptions();
@@ -113,8 +117,8 @@ class ZeroMqTransport final : public Transport {
   /// Sends each retained message that is wanted and due, to every subscriber of its key: XPUB cannot address one. The
   /// caller must hold mutex_.
   void repeat_retained();
-  /// Counts a peer of the XPUB socket as malformed and closes its connection. The caller must hold mutex_.
-  void disconnect(int descriptor, std::string_view reason);
+  /// Counts a subscriber as malformed and closes its connection. The caller must hold mutex_.
+  void disconnect(const Subscribers::Connection& subscriber, std::string_view scene, std::string_view reason);
   /// Returns how long the receiver thread may sleep; a negative time: until something happens.
   std::chrono::milliseconds sleep_time();
   /// Ends the sleep of the receiver thread, once for each sleep. The caller must hold mutex_.

@@ -3,6 +3,7 @@
 //!
 //! Every put uses congestion control `Drop`, because `Block` lets one stopped subscriber stall the publisher.
 
+mod answers;
 mod log;
 mod peers;
 
@@ -17,17 +18,18 @@ use zenoh::bytes::ZBytes;
 use zenoh::key_expr::{KeyExpr, OwnedKeyExpr};
 use zenoh::pubsub::Subscriber as ZenohSubscriber;
 use zenoh::qos::{CongestionControl, Priority};
-use zenoh::query::{Query, QueryTarget, Queryable};
+use zenoh::query::{QueryTarget, Queryable};
 use zenoh::{Config, Session as ZenohSession, Wait};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
-type Retained = Arc<Mutex<HashMap<OwnedKeyExpr, ZBytes>>>;
+type Retained = Mutex<HashMap<OwnedKeyExpr, ZBytes>>;
 type MessageFn = extern "C" fn(*mut c_void, *const c_char, usize, *const u8, usize);
 
 pub struct Session {
     session: ZenohSession,
     locator: String,
-    retained: Retained,
+    retained: Arc<Retained>,
+    answers: Arc<answers::Answers>,
     _server: Option<Queryable<()>>,
 }
 
@@ -73,6 +75,10 @@ struct Options<'a> {
     max_message_bytes: u32,
     max_declarations: u32,
     max_declarations_of_all: u32,
+    max_keys: u32,
+    max_key_bytes: u32,
+    max_requests: f64,
+    max_requests_per_s: f64,
     shared_memory: bool,
 }
 
@@ -159,23 +165,6 @@ fn configure(options: &Options, listen: &str) -> Result<Config, Failure> {
     Ok(config)
 }
 
-/// Replies to one `get` with every retained message whose key it matches.
-fn answer(query: &Query, retained: &Retained) {
-    // Copies the messages and releases the lock first, because a reply may wait for the peer that asked.
-    let matching: Vec<(OwnedKeyExpr, ZBytes)> = retained
-        .lock()
-        .unwrap()
-        .iter()
-        .filter(|(key, _)| query.key_expr().intersects(key))
-        .map(|(key, payload)| (key.clone(), payload.clone()))
-        .collect();
-    for (key, payload) in matching {
-        if let Err(error) = query.reply(KeyExpr::from(key), payload).wait() {
-            tracing::warn!("a late joiner got no answer: {error}");
-        }
-    }
-}
-
 fn open(options: &Options) -> Result<Session, Failure> {
     let mut attempts = if options.listen.ends_with(":0") { 8 } else { 1 };
     let (session, locator) = loop {
@@ -191,19 +180,24 @@ fn open(options: &Options) -> Result<Session, Failure> {
         let limits = peers::Limits {
             of_one: options.max_declarations as usize,
             of_all: options.max_declarations_of_all as usize,
+            keys: options.max_keys as usize,
+            key_bytes: options.max_key_bytes as usize,
+            requests: options.max_requests,
+            requests_per_s: options.max_requests_per_s,
         };
         peers::watch(&session, limits)?;
     }
-    let retained = Retained::default();
+    let retained = Arc::new(Retained::default());
+    let answers = Arc::new(answers::Answers::new(retained.clone()));
     let server = match options.serve {
         "" => None,
         key => {
-            let retained = retained.clone();
-            let queryable = session.declare_queryable(key).callback(move |query| answer(&query, &retained)).wait()?;
+            let answers = answers.clone();
+            let queryable = session.declare_queryable(key).callback(move |query| answers.take(query)).wait()?;
             Some(queryable)
         }
     };
-    Ok(Session { session, locator, retained, _server: server })
+    Ok(Session { session, locator, retained, answers, _server: server })
 }
 
 /// # Safety
@@ -260,6 +254,10 @@ pub struct RawOptions {
     max_message_bytes: u32,
     max_declarations: u32,
     max_declarations_of_all: u32,
+    max_keys: u32,
+    max_key_bytes: u32,
+    max_requests: f64,
+    max_requests_per_s: f64,
     shared_memory: bool,
 }
 
@@ -287,6 +285,10 @@ pub unsafe extern "C" fn tensormass_zenoh_open(
                 max_message_bytes: raw.max_message_bytes,
                 max_declarations: raw.max_declarations,
                 max_declarations_of_all: raw.max_declarations_of_all,
+                max_keys: raw.max_keys,
+                max_key_bytes: raw.max_key_bytes,
+                max_requests: raw.max_requests,
+                max_requests_per_s: raw.max_requests_per_s,
                 shared_memory: raw.shared_memory,
             })
         })()
@@ -307,9 +309,11 @@ pub unsafe extern "C" fn tensormass_zenoh_close(session: *mut Session) {
     }
     let session = unsafe { Box::from_raw(session) };
     peers::forget(&session.session);
+    let unanswered = session.answers.end();
     if let Err(error) = session.session.close().wait_callbacks().wait() {
         tracing::warn!("closing the session: {error}");
     }
+    drop(unanswered);
 }
 
 #[no_mangle]
@@ -346,6 +350,11 @@ pub unsafe extern "C" fn tensormass_zenoh_put(
 #[no_mangle]
 pub extern "C" fn tensormass_zenoh_sender() -> u64 {
     peers::sender()
+}
+
+#[no_mangle]
+pub unsafe extern "C" fn tensormass_zenoh_sender_name(name: *mut c_char, capacity: usize) {
+    unsafe { write_text(&peers::sender_name(), name, capacity) };
 }
 
 #[no_mangle]

@@ -15,7 +15,7 @@ use tracing::{Event, Level, Metadata, Subscriber};
 
 use crate::peers;
 
-type LogFn = extern "C" fn(*mut c_void, bool, *const c_char, usize);
+type LogFn = extern "C" fn(*mut c_void, bool, *const c_char, usize, *const c_char, usize);
 
 /// The modules whose debug lines report failed handshakes.
 const ACCEPT: &str = "zenoh_transport::unicast::establishment::accept";
@@ -26,13 +26,19 @@ const DEMUX: &str = "zenoh::net::primitives::demux";
 /// The modules whose spans are declarations of a peer.
 const PUBSUB: &str = "zenoh::net::routing::dispatcher::pubsub";
 const INTERESTS: &str = "zenoh::net::routing::dispatcher::interests";
+/// The module whose span is a put of a peer.
+const FACE: &str = "zenoh::net::routing::dispatcher::face";
+/// The module whose debug lines tell of keys that are kept.
+const RESOURCE: &str = "zenoh::net::routing::dispatcher::resource";
 /// The modules whose trace lines tell of messages that are not let in, too long, or not sent.
 const ACCESS: &str = "zenoh::net::routing::interceptor::access_control";
 const RECEIVE: &str = "zenoh_transport::unicast::universal::rx";
 const SEND: &str = "zenoh_transport::common::pipeline";
 
-/// Bytes of a trace line that are read. What follows may be a whole message.
+/// Bytes of a trace line that are read. What follows may be a whole message. A key may have fewer.
 const READ_OF_TRACE: usize = 512;
+/// Bytes of a key that are read, more than it may have.
+const READ_OF_KEY: usize = 2048;
 
 /// Ids of spans.
 const MESSAGE: u64 = 1;
@@ -54,6 +60,8 @@ static NOISE: [AtomicUsize; 32] = [const { AtomicUsize::new(0) }; 32];
 thread_local! {
     /// A message of the current peer was not let in.
     static DENIED: Cell<bool> = const { Cell::new(false) };
+    /// The message of the current peer is a put, let in or not.
+    static PUT: Cell<bool> = const { Cell::new(false) };
     /// zenoh works out what a peer will be allowed, and writes the same lines.
     static CACHING: Cell<bool> = const { Cell::new(false) };
     static FULL_QUEUES: Cell<u32> = const { Cell::new(0) };
@@ -79,6 +87,10 @@ fn add_noise(metadata: &Metadata<'_>) {
     let _ = NOISE.iter().find(free);
 }
 
+fn is_of_keys(metadata: &Metadata<'_>) -> bool {
+    metadata.is_event() && *metadata.level() == Level::DEBUG && metadata.target() == RESOURCE
+}
+
 fn is_counted_trace(metadata: &Metadata<'_>) -> bool {
     metadata.is_event() && *metadata.level() == Level::TRACE && [ACCESS, RECEIVE, SEND].contains(&metadata.target())
 }
@@ -92,6 +104,33 @@ unsafe impl Sync for Forward {}
 
 #[derive(Default)]
 struct Message(String);
+
+/// The first READ_OF_KEY bytes of a line, and how many it has.
+#[derive(Default)]
+struct Line {
+    start: String,
+    bytes: usize,
+}
+
+impl Write for Line {
+    fn write_str(&mut self, text: &str) -> std::fmt::Result {
+        self.bytes += text.len();
+        let mut room = text.len().min(READ_OF_KEY.saturating_sub(self.start.len()));
+        while !text.is_char_boundary(room) {
+            room -= 1;
+        }
+        self.start.push_str(&text[..room]);
+        Ok(())
+    }
+}
+
+impl Visit for Line {
+    fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
+        if field.name() == "message" {
+            let _ = write!(self, "{value:?}");
+        }
+    }
+}
 
 /// The first READ_OF_TRACE bytes of a line.
 #[derive(Default)]
@@ -119,7 +158,7 @@ impl Visit for Start {
 /// Fields of a span of `peers`.
 #[derive(Default)]
 struct Fields {
-    source: String,
+    peer: String,
     id: Option<u32>,
     mode: String,
 }
@@ -132,7 +171,7 @@ impl Visit for Fields {
     }
     fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
         match field.name() {
-            "src" => drop(write!(self.source, "{value:?}")),
+            "src" => drop(write!(self.peer, "{value:?}")),
             "mode" => drop(write!(self.mode, "{value:?}")),
             "id" => self.id = format!("{value:?}").parse().ok(),
             _ => (),
@@ -172,8 +211,27 @@ impl Visit for Message {
 }
 
 impl Forward {
-    fn write(&self, is_error: bool, text: &str) {
-        (self.function)(self.context, is_error, text.as_ptr().cast(), text.len());
+    /// who: the peer that was disconnected, in a line of ours; "" in zenoh's.
+    fn write(&self, is_error: bool, who: &str, text: &str) {
+        (self.function)(self.context, is_error, who.as_ptr().cast(), who.len(), text.as_ptr().cast(), text.len());
+    }
+
+    fn tell(&self, closed: Option<peers::Closed>) {
+        let Some(closed) = closed else { return };
+        TOO_MANY_DECLARATIONS.fetch_add(1, Ordering::Relaxed);
+        self.write(false, &closed.who, closed.why);
+    }
+
+    fn note_key(&self, event: &Event<'_>) {
+        const KEPT: &str = "Register resource ";
+        const DROPPED: &str = "Unregister resource ";
+        let mut line = Line::default();
+        event.record(&mut line);
+        if let Some(key) = line.start.strip_prefix(KEPT) {
+            self.tell(peers::keep_key(key, line.bytes - KEPT.len()));
+        } else if let Some(key) = line.start.strip_prefix(DROPPED) {
+            peers::drop_key(key);
+        }
     }
 
     fn read_trace(event: &Event<'_>) {
@@ -185,8 +243,9 @@ impl Forward {
                 CACHING.set(CACHING.get() || line.starts_with("ACL ("));
                 // "WHO is unauthorized to WHAT (ingress) on KEY": peers choose the key alone, which comes last.
                 let refused = line.split_once(" is unauthorized to ").and_then(|(_, rest)| rest.split_once(" on "));
-                if refused.is_some_and(|(what, _)| what.ends_with("(ingress)")) && !CACHING.get() {
+                if let Some((what, _)) = refused.filter(|(what, _)| what.ends_with("(ingress)") && !CACHING.get()) {
                     DENIED.set(true);
+                    PUT.set(PUT.get() || what.starts_with("Put") || what.starts_with("Delete"));
                 }
                 // The last line of those that say what will be allowed.
                 if refused.is_some_and(|(what, _)| what.starts_with("Declare Liveliness Subscriber")) {
@@ -220,11 +279,10 @@ impl Forward {
             _ if fields.mode == "Current" => return,
             _ => (peers::Kind::Interest, true),
         };
-        if !begins {
+        if begins {
+            self.tell(peers::declare(kind, id));
+        } else {
             peers::undeclare(kind, id);
-        } else if peers::declare(kind, id) {
-            TOO_MANY_DECLARATIONS.fetch_add(1, Ordering::Relaxed);
-            self.write(false, "a client had more subscriptions than the limit; its connection was closed");
         }
     }
 }
@@ -235,6 +293,7 @@ impl Subscriber for Forward {
         if metadata.is_event() {
             return level <= Level::WARN
                 || (level == Level::DEBUG && [ACCEPT, MANAGER].contains(&metadata.target()))
+                || is_of_keys(metadata)
                 || (is_counted_trace(metadata) && !is_noise(metadata));
         }
         match metadata.target() {
@@ -242,6 +301,7 @@ impl Subscriber for Forward {
             DEMUX => level == Level::DEBUG,
             PUBSUB => ["declare_subscriber", "undeclare_subscriber"].contains(&metadata.name()),
             INTERESTS => metadata.name() == "interest",
+            FACE => !metadata.is_span() || metadata.name() == "send_push",
             _ => false,
         }
     }
@@ -260,13 +320,16 @@ impl Subscriber for Forward {
         if is_counted_trace(event.metadata()) {
             return Self::read_trace(event);
         }
+        if is_of_keys(event.metadata()) {
+            return self.note_key(event);
+        }
         let mut message = Message::default();
         event.record(&mut message);
         if NOT_ABOUT_US.iter().any(|start| message.0.starts_with(start)) {
             return;
         }
         if level <= Level::WARN {
-            return self.write(level == Level::ERROR, &without_source_paths(&message.0));
+            return self.write(level == Level::ERROR, "", &without_source_paths(&message.0));
         }
         let failed = match event.metadata().target() {
             ACCEPT => !message.0.starts_with("New transport link accepted"),
@@ -278,6 +341,10 @@ impl Subscriber for Forward {
     }
 
     fn new_span(&self, span: &Attributes<'_>) -> Id {
+        if span.metadata().target() == FACE {
+            PUT.set(true);
+            return Id::from_u64(OTHER);
+        }
         let mut fields = Fields::default();
         span.record(&mut fields);
         if span.metadata().target() != DEMUX {
@@ -287,13 +354,14 @@ impl Subscriber for Forward {
         // zenoh enters the span at once, on this thread.
         DENIED.set(false);
         CACHING.set(false);
-        Id::from_u64(if peers::begin_message(&fields.source) { MESSAGE } else { OTHER })
+        PUT.set(false);
+        Id::from_u64(if peers::begin_message(&fields.peer) { MESSAGE } else { OTHER })
     }
 
     fn exit(&self, span: &Id) {
         if span.into_u64() == MESSAGE {
             NOT_ALLOWED.fetch_add(DENIED.take().into(), Ordering::Relaxed);
-            peers::end_message();
+            self.tell(peers::end_message(PUT.take()));
         }
     }
 

@@ -1,24 +1,26 @@
 //! What the peers of a serving session do: who sends the message that a callback receives, and how much each declares.
 //!
 //! zenoh has no call for either. It tells of each connection before the first message comes over it. It opens a span for
-//! each message of a peer, and within it one for each declaration. `log` is told of them, on the thread that handles the
-//! message:
+//! each message of a peer, and within it one for each declaration, and writes a line for each key that it keeps. `log`
+//! is told of them, on the thread that handles the message:
 //!
 //!     span "demux"                   begin_message: the peer is the sender until end_message
-//!       span "declare_subscriber"    declare: beyond a limit, the peer's connection is closed
+//!       span "declare_subscriber"    declare    \
+//!       line "Register resource"     keep_key    > beyond a limit, the peer's connection is closed
 //!       callback of a subscriber     sender() says who it is
-//!     exit                           end_message
+//!     exit                           end_message: the same for what is not a put
 //!
 //! Without a receiver of the log, no span comes, and nothing is limited.
 
 use std::cell::{Cell, RefCell};
-use std::collections::hash_map::DefaultHasher;
+use std::collections::hash_map::{DefaultHasher, RandomState};
 use std::collections::{HashMap, HashSet};
-use std::hash::{Hash, Hasher};
+use std::hash::{BuildHasher, Hash, Hasher};
 use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::os::fd::{BorrowedFd, RawFd};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{LazyLock, Mutex, MutexGuard};
+use std::time::Instant;
 
 use zenoh::sample::SampleKind;
 use zenoh::session::{Link, ZenohId};
@@ -31,11 +33,17 @@ pub enum Kind {
     Interest,
 }
 
-/// Declarations of one peer, and of all together.
+/// What one peer may declare, and all together.
 #[derive(Clone, Copy)]
 pub struct Limits {
     pub of_one: usize,
     pub of_all: usize,
+    /// Keys that zenoh keeps for a peer's declarations; all together have `of_all`. Bytes of a key.
+    pub keys: usize,
+    pub key_bytes: usize,
+    /// Messages of a sender other than puts: so many at once, and so many a second after that.
+    pub requests: f64,
+    pub requests_per_s: f64,
 }
 
 /// Declarations that a connection may make in its whole life, in multiples of what it may have at once. zenoh keeps
@@ -56,25 +64,55 @@ type Ends = (SocketAddr, SocketAddr);
 struct Peer {
     session: ZenohId,
     sender: u64,
-    // One, unless peers have chosen ids that look the same in a span. They share what one may do.
+    /// The name of its certificate, or its address: for the log.
+    who: String,
+    // One, unless zenoh joins several of a peer.
     connections: Vec<Ends>,
+    /// How many joined before it, and whether a span has named it.
+    number: u64,
+    is_bound: bool,
     limits: Limits,
     declared: HashSet<(Kind, u32)>,
+    keys: HashSet<u64>, // their hashes
     ever: usize,
     closed: bool,
 }
 
-/// By the start of the peer's id, as spans write it.
+/// Messages that may come at once.
+struct Budget {
+    left: f64,
+    since: Instant,
+}
+
+/// By the peer's id.
 type Peers = HashMap<String, Peer>;
-static PEERS: LazyLock<Mutex<Peers>> = LazyLock::new(Mutex::default);
+#[derive(Default)]
+struct State {
+    peers: Peers,
+    /// A span has the first four bytes of a peer's id and a number, which no other peer gets. What that is in full: the
+    /// first peer with such an id that no number was bound to. Peers choose their ids, and may choose like another. They
+    /// share nothing, but whoever joined at the same moment may be taken for the other.
+    faces: HashMap<String, String>,
+    joined: u64,
+    /// By the number of the sender: all connections of a certificate share one.
+    budgets: HashMap<u64, Budget>,
+}
+static STATE: LazyLock<Mutex<State>> = LazyLock::new(Mutex::default);
+static KEY_HASHES: LazyLock<RandomState> = LazyLock::new(RandomState::new);
+
+/// Who was disconnected: one peer, or all of a sender.
+pub struct Closed {
+    pub who: String,
+    pub why: &'static str,
+}
 
 thread_local! {
     static CURRENT: RefCell<String> = const { RefCell::new(String::new()) };
     static SENDER: Cell<u64> = const { Cell::new(0) };
 }
 
-fn lock() -> MutexGuard<'static, Peers> {
-    PEERS.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+fn lock() -> MutexGuard<'static, State> {
+    STATE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
 /// Limits what the peers of a session declare.
@@ -95,13 +133,23 @@ pub fn watch(session: &Session, limits: Limits) -> zenoh::Result<()> {
 /// Forgets the peers of a session that ends: zenoh drops its listeners before its connections.
 pub fn forget(session: &Session) {
     let own = session.zid();
-    lock().retain(|_, peer| peer.session != own);
+    let mut state = lock();
+    state.peers.retain(|_, peer| peer.session != own);
+    forget_left(&mut state);
 }
 
 /// Forgets the peers without an open connection: zenoh does not tell of every end.
 fn forget_ended(peers: &mut Peers) {
     let open: HashSet<Ends> = connections().map(|(ends, _)| ends).collect();
     peers.retain(|_, peer| peer.connections.iter().any(|ends| open.contains(ends)));
+}
+
+/// Forgets the budgets of senders that left, and the faces of peers.
+fn forget_left(state: &mut State) {
+    let senders: HashSet<u64> = state.peers.values().map(|peer| peer.sender).collect();
+    state.budgets.retain(|sender, _| senders.contains(sender));
+    let peers = &state.peers;
+    state.faces.retain(|_, id| peers.contains_key(id));
 }
 
 fn join(link: &Link, session: ZenohId, limits: Limits) {
@@ -114,20 +162,32 @@ fn join(link: &Link, session: ZenohId, limits: Limits) {
         }
         None => NEXT_SENDER.fetch_add(1, Ordering::Relaxed),
     };
-    let mut peers = lock();
-    if peers.len() >= MOST_REMEMBERED {
-        forget_ended(&mut peers);
+    let who = link.auth_identifier().as_ref().map_or_else(|| ends.1.to_string(), |name| name.to_string());
+    let mut state = lock();
+    if state.peers.len() >= MOST_REMEMBERED {
+        forget_ended(&mut state.peers);
     }
-    let peer = peers.entry(short(link.zid())).or_insert_with(|| Peer {
+    if state.budgets.len() >= MOST_REMEMBERED || state.faces.len() >= MOST_REMEMBERED {
+        forget_left(&mut state);
+    }
+    state.joined += 1;
+    let number = state.joined;
+    state.budgets.entry(sender).or_insert_with(|| Budget { left: limits.requests, since: Instant::now() });
+    let peer = state.peers.entry(link.zid().to_string()).or_insert_with(|| Peer {
         session,
         sender,
+        who,
         connections: vec![],
+        number,
+        is_bound: false,
         limits,
         declared: HashSet::new(),
+        keys: HashSet::new(),
         ever: 0,
         closed: false,
     });
     peer.closed = false;
+    peer.is_bound = false; // it may have come back under another number
     if !peer.connections.contains(&ends) {
         peer.connections.push(ends);
     }
@@ -135,12 +195,13 @@ fn join(link: &Link, session: ZenohId, limits: Limits) {
 
 fn leave(link: &Link) {
     let Some(ends) = ends_of(link) else { return };
-    let mut peers = lock();
-    let id = short(link.zid());
-    if let Some(peer) = peers.get_mut(&id) {
+    let mut state = lock();
+    let id = link.zid().to_string();
+    if let Some(peer) = state.peers.get_mut(&id) {
         peer.connections.retain(|each| *each != ends);
         if peer.connections.is_empty() {
-            peers.remove(&id);
+            state.peers.remove(&id);
+            state.faces.retain(|_, each| *each != id);
         }
     }
 }
@@ -151,30 +212,59 @@ fn ends_of(link: &Link) -> Option<Ends> {
 }
 
 /// The first four bytes of an id, as spans write them: in hexadecimal digits, without zeros before.
-fn short(id: &ZenohId) -> String {
-    let digits = id.to_string();
-    let bytes = digits.len().div_ceil(2);
-    digits[..digits.len() - 2 * bytes.saturating_sub(4)].to_owned()
+fn short(id: &str) -> &str {
+    let bytes = id.len().div_ceil(2);
+    &id[..id.len() - 2 * bytes.saturating_sub(4)]
 }
 
-/// A peer's message is handled on this thread from now on. source: the face of the message's span, REGION/ID:NUMBER.
+/// Binds a face, START:NUMBER, to the first peer whose id starts so and that is not bound. Returns its id.
+fn bind(state: &mut State, face: &str) -> Option<String> {
+    let start = face.rsplit_once(':').map_or(face, |(start, _)| start);
+    let fits = |(id, peer): &(&String, &mut Peer)| !peer.is_bound && short(id) == start;
+    let (id, peer) = state.peers.iter_mut().filter(fits).min_by_key(|(_, peer)| peer.number)?;
+    peer.is_bound = true;
+    let id = id.clone();
+    state.faces.insert(face.to_owned(), id.clone());
+    Some(id)
+}
+
+/// A peer's message is handled on this thread from now on. source: the face of the message's span, REGION/START:NUMBER.
 /// Returns false if the peer is not one of a serving session.
 pub fn begin_message(source: &str) -> bool {
-    let id = source.rsplit_once('/').map_or(source, |(_, rest)| rest);
-    let id = id.rsplit_once(':').map_or(id, |(id, _)| id);
-    let sender = lock().get(id).map_or(0, |peer| peer.sender);
+    let face = source.rsplit_once('/').map_or(source, |(_, rest)| rest);
+    let mut state = lock();
+    let id = match state.faces.get(face) {
+        Some(id) => Some(id.clone()),
+        None => bind(&mut state, face),
+    };
+    let sender = id.as_ref().and_then(|id| state.peers.get(id)).map_or(0, |peer| peer.sender);
+    drop(state);
     SENDER.set(sender);
     if sender != 0 {
-        CURRENT.with_borrow_mut(|current| {
-            current.clear();
-            current.push_str(id);
-        });
+        CURRENT.set(id.unwrap_or_default());
     }
     sender != 0
 }
 
-pub fn end_message() {
-    SENDER.set(0);
+/// was_put: the message was a put, which others count. Returns who was disconnected, if it was one too many.
+pub fn end_message(was_put: bool) -> Option<Closed> {
+    let sender = SENDER.take();
+    if was_put || sender == 0 {
+        return None;
+    }
+    let mut state = lock();
+    let State { peers, budgets, .. } = &mut *state;
+    let peer = CURRENT.with_borrow(|current| peers.get_mut(current))?;
+    let (limits, now) = (peer.limits, Instant::now());
+    let budget = budgets.entry(sender).or_insert_with(|| Budget { left: limits.requests, since: now });
+    let gained = (now - budget.since).as_secs_f64() * limits.requests_per_s;
+    budget.left = limits.requests.min(budget.left + gained);
+    budget.since = now;
+    if budget.left < 1.0 {
+        return close(peer, "more declarations and queries than kMaxZenohRequestsAtOnce");
+    }
+    budget.left -= 1.0;
+    None
 }
 
 /// Number of the peer whose message is handled on this thread; 0: none.
@@ -182,62 +272,110 @@ pub fn sender() -> u64 {
     SENDER.get()
 }
 
-/// Notes a declaration of the current peer. Returns true if it was one too many and a connection was closed for it: that
-/// of the current peer, or of the one with most if all together have too many.
-pub fn declare(kind: Kind, id: u32) -> bool {
+/// Who that is, for the log; "": nobody.
+pub fn sender_name() -> String {
     if sender() == 0 {
-        return false;
+        return String::new();
     }
-    let mut peers = lock();
-    let Some(peer) = CURRENT.with_borrow(|current| peers.get_mut(current)) else { return false };
-    // A peer that is closed may have sent more before.
-    if peer.closed {
-        return false;
-    }
-    peer.declared.insert((kind, id));
-    peer.ever += 1;
-    let limits = peer.limits;
-    if peer.declared.len() > limits.of_one || peer.ever > MOST_EVER * limits.of_one {
-        close(peer);
-        return true;
-    }
-    let all = |peers: &Peers| peers.values().map(|peer| peer.declared.len()).sum::<usize>();
-    if all(&peers) <= limits.of_all {
-        return false;
-    }
-    forget_ended(&mut peers);
-    if all(&peers) <= limits.of_all {
-        return false;
-    }
-    let mut of_senders: HashMap<u64, usize> = HashMap::new();
-    for peer in peers.values() {
-        *of_senders.entry(peer.sender).or_default() += peer.declared.len();
-    }
-    // The sender, not the connection: a certificate may have many.
-    let Some((&largest, _)) = of_senders.iter().max_by_key(|(_, count)| **count) else { return false };
-    peers.values_mut().filter(|peer| peer.sender == largest).for_each(close);
-    true
+    let state = lock();
+    CURRENT.with_borrow(|current| state.peers.get(current).map_or_else(String::new, |peer| peer.who.clone()))
+}
+
+/// Notes a declaration of the current peer. Returns who was disconnected, if it was one too many: the current peer, or
+/// the sender with most if all together have too many.
+pub fn declare(kind: Kind, id: u32) -> Option<Closed> {
+    note(|peer| {
+        peer.declared.insert((kind, id));
+        peer.ever += 1;
+        let most = peer.limits.of_one;
+        let too_many = peer.declared.len() > most || peer.ever > MOST_EVER * most;
+        too_many.then_some("more subscriptions than kMaxZenohDeclarations")
+    })
 }
 
 pub fn undeclare(kind: Kind, id: u32) {
     if sender() == 0 {
         return;
     }
-    let mut peers = lock();
-    if let Some(peer) = CURRENT.with_borrow(|current| peers.get_mut(current)) {
+    let mut state = lock();
+    if let Some(peer) = CURRENT.with_borrow(|current| state.peers.get_mut(current)) {
         peer.declared.remove(&(kind, id));
     }
 }
 
+/// Notes a key of `bytes` bytes that zenoh keeps from now on, because the current peer declared it. key: its start, at
+/// least as much of it as a key may have. Returns as `declare`.
+pub fn keep_key(key: &str, bytes: usize) -> Option<Closed> {
+    note(|peer| {
+        if bytes > peer.limits.key_bytes {
+            return Some("a key longer than kMaxZenohKeyBytes");
+        }
+        peer.keys.insert(KEY_HASHES.hash_one(key));
+        (peer.keys.len() > peer.limits.keys).then_some("more keys than kMaxZenohKeys")
+    })
+}
+
+/// zenoh keeps the key no more. Whoever ended its last use, the peer that declared it first has one less.
+pub fn drop_key(key: &str) {
+    let hash = KEY_HASHES.hash_one(key);
+    let mut state = lock();
+    if sender() != 0 && CURRENT.with_borrow(|current| state.peers.get_mut(current)).is_some_and(|p| p.keys.remove(&hash)) {
+        return;
+    }
+    let _ = state.peers.values_mut().find_map(|peer| peer.keys.remove(&hash).then_some(()));
+}
+
+/// add: adds to what the current peer has, and returns why that is too much for one.
+fn note(add: impl FnOnce(&mut Peer) -> Option<&'static str>) -> Option<Closed> {
+    if sender() == 0 {
+        return None;
+    }
+    let mut state = lock();
+    let peers = &mut state.peers;
+    let peer = CURRENT.with_borrow(|current| peers.get_mut(current))?;
+    // A peer that is closed may have sent more before.
+    if peer.closed {
+        return None;
+    }
+    if let Some(why) = add(peer) {
+        return close(peer, why);
+    }
+    let most = peer.limits.of_all;
+    let too_many = |peers: &Peers| {
+        peers.values().map(|peer| peer.declared.len()).sum::<usize>() > most
+            || peers.values().map(|peer| peer.keys.len()).sum::<usize>() > most
+    };
+    if !too_many(peers) {
+        return None;
+    }
+    forget_ended(peers);
+    if !too_many(peers) {
+        return None;
+    }
+    let mut of_senders: HashMap<u64, usize> = HashMap::new();
+    for peer in peers.values() {
+        *of_senders.entry(peer.sender).or_default() += peer.declared.len() + peer.keys.len();
+    }
+    // The sender, not the connection: a certificate may have many.
+    let (&largest, _) = of_senders.iter().max_by_key(|(_, count)| **count)?;
+    let why = "most of more subscriptions than kMaxZenohDeclarationsOfAll";
+    peers.values_mut().filter(|peer| peer.sender == largest).filter_map(|peer| close(peer, why)).last()
+}
+
 /// zenoh has no call that closes one connection, but it notices the end of the stream.
-fn close(peer: &mut Peer) {
+fn close(peer: &mut Peer, why: &'static str) -> Option<Closed> {
+    if peer.closed {
+        return None;
+    }
     peer.closed = true;
     peer.declared.clear();
+    peer.keys.clear();
     for (ends, stream) in connections() {
         if peer.connections.contains(&ends) {
             let _ = stream.shutdown(Shutdown::Both);
         }
     }
+    Some(Closed { who: peer.who.clone(), why })
 }
 
 /// The open connections of this process.
