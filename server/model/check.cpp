@@ -49,8 +49,6 @@ void check_group(const ElementGroup& group, const matrix::Layout& layout) {
   TM_ASSERT(group.stride % kSliceRows == 0, "elements are padded to whole vector registers and warps");
   TM_ASSERT(group.stride >= group.element_count, "each element has a place");
   TM_ASSERT(group.elements.size() <= group.stride, "each place has at most one element");
-  TM_ASSERT(group.computed.size() == (group.prony.empty() ? 0 : group.elements.size()),
-            "each place of a viscoelastic law says what it computes");
   TM_ASSERT(!group.rows.empty() && group.rows.size() % group.stride == 0, "rows: [shape nodes][stride]");
   TM_ASSERT(are_below(group.rows, layout.row_count), "elements name rows of the layout");
   TM_ASSERT(!group.rest.empty() && group.rest.size() % (std::size_t{group.point_count} * group.stride) == 0,

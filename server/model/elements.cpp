@@ -116,16 +116,6 @@ std::vector<std::uint32_t> elements_of_places(const std::vector<std::uint32_t>& 
   return out;
 }
 
-/// Returns the scene's element of each place; kNone for padding.
-std::vector<std::uint32_t> computed_at_places(const std::vector<std::uint32_t>& elements,
-                                              const std::vector<std::uint32_t>& order) {
-  std::vector<std::uint32_t> out(order.size(), mesh::kNone);
-  for (std::size_t place = 0; place < order.size(); ++place) {
-    if (order[place] != mesh::kNone) out[place] = elements[order[place]];
-  }
-  return out;
-}
-
 /// Adds K_kl of an element with a linear law to the constant edges.
 template <class Shape>
 void add_constant_tensors(const matrix::Layout& layout, const Material& material, std::span<const std::uint32_t> nodes,
@@ -178,7 +168,6 @@ ElementGroup make_group(const GroupKey& key, const Collected& elements, const ma
   const auto components = [&](const auto& items) { return items.size() / group.element_count; };
   const auto placed = [&](const auto& items) { return transpose(items, components(items), order, group.stride); };
   group.elements = elements_of_places(elements.elements, order);
-  if (key.series != 0) group.computed = computed_at_places(elements.elements, order);
   group.members = placed(elements.members);
   group.member_parts = placed(elements.member_parts);
   group.rows = placed(elements.rows);

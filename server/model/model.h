@@ -67,8 +67,6 @@ struct ElementGroup {
   /// [place] element of the scene. mesh::kNone: padding, or an element that an earlier place has computed for another
   /// patch. May end before the padding does.
   std::vector<std::uint32_t> elements;
-  /// [place] as `elements`, and also the element where an earlier place has computed it. Empty: the law is elastic.
-  std::vector<std::uint32_t> computed;
   /// [kMaxClusterElements][stride] elements of each cluster, the first as in `elements`; mesh::kNone: there are fewer.
   /// Empty: the group has no clusters.
   std::vector<std::uint32_t> members;

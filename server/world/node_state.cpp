@@ -1,15 +1,17 @@
 #include "world/node_state.h"
 
 #include <algorithm>
+#include <array>
 #include <map>
 #include <numeric>
 #include <optional>
-#include <tuple>
+#include <unordered_map>
 #include <utility>
 
 #include <fmt/format.h>
 
 #include "core/assert.h"
+#include "world/hashes.h"
 
 namespace tensormass::world {
 
@@ -60,26 +62,69 @@ class GroupVariables {
     TM_ASSERT(elements_.size() == group.element_count, "a group has each of its elements once");
   }
 
+  /// Skips places of elements that an earlier place has: theirs are the same.
   void to_elements(const double* layout, double* out) const {
-    for (std::size_t place = 0; place < group_.elements.size(); ++place) {
-      const std::uint32_t element = group_.elements[place];
-      if (element == mesh::kNone) continue;  // padding, or the same as at an earlier place
-      double* to = out + reals_ * place_of(element);
-      for (std::size_t i = 0; i < reals_; ++i) to[i] = layout[i * group_.stride + place];
-    }
+    for_each_variable(group_.elements,
+                      [&](std::size_t in_layout, std::size_t by_element) { out[by_element] = layout[in_layout]; });
   }
   void to_layout(const double* elements, double* out) const {
-    for (std::size_t place = 0; place < group_.computed.size(); ++place) {
-      const std::uint32_t element = group_.computed[place];
-      if (element == mesh::kNone) continue;
-      const double* from = elements + reals_ * place_of(element);
-      for (std::size_t i = 0; i < reals_; ++i) out[i * group_.stride + place] = from[i];
-    }
+    for_each_variable(computed(),
+                      [&](std::size_t in_layout, std::size_t by_element) { out[in_layout] = elements[by_element]; });
   }
 
  private:
-  std::size_t place_of(std::uint32_t element) const {
-    return static_cast<std::size_t>(std::lower_bound(elements_.begin(), elements_.end(), element) - elements_.begin());
+  /// Returns the element of each place, also where an earlier place has computed it for another patch: such places have
+  /// the same rows and the same shape at rest.
+  std::vector<std::uint32_t> computed() const {
+    std::vector<std::uint32_t> out = group_.elements;
+    if (out.size() == group_.element_count) return out;
+    std::unordered_multimap<std::uint64_t, std::uint32_t> met;
+    for (std::uint32_t place = 0; place < out.size(); ++place) {
+      if (group_.elements[place] != mesh::kNone) {
+        met.emplace(hash_of_rows(place), place);
+        continue;
+      }
+      const auto [first, last] = met.equal_range(hash_of_rows(place));
+      const auto same = std::find_if(first, last, [&](const auto& other) { return is_same(other.second, place); });
+      if (same != last) out[place] = group_.elements[same->second];
+    }
+    return out;
+  }
+  std::uint64_t hash_of_rows(std::size_t place) const {
+    Hash hash;
+    for (std::size_t at = place; at < group_.rows.size(); at += group_.stride) hash.add(std::uint64_t{group_.rows[at]});
+    return hash.value();
+  }
+  bool is_same(std::size_t place, std::size_t other) const {
+    const auto equal = [&](const auto& columns) {
+      for (std::size_t at = 0; at < columns.size(); at += group_.stride) {
+        if (columns[at + place] != columns[at + other]) return false;
+      }
+      return true;
+    };
+    return equal(group_.rows) && equal(group_.rest) && equal(group_.members);
+  }
+
+  /// copy(in the layout, by element) is called for each variable of each element. elements: [place]
+  ///
+  /// Takes some places at once: variables of one place are far from each other in the layout, and those of neighbours
+  /// share a cache line.
+  template <class Copy>
+  void for_each_variable(const std::vector<std::uint32_t>& elements, const Copy& copy) const {
+    constexpr std::size_t kPlaces = 32;
+    std::array<std::size_t, kPlaces> places, begins;
+    for (std::size_t first = 0; first < elements.size(); first += kPlaces) {
+      std::size_t count = 0;
+      for (std::size_t place = first; place < std::min(first + kPlaces, elements.size()); ++place) {
+        if (elements[place] == mesh::kNone) continue;
+        const auto found = std::lower_bound(elements_.begin(), elements_.end(), elements[place]);
+        places[count] = place;
+        begins[count++] = reals_ * static_cast<std::size_t>(found - elements_.begin());
+      }
+      for (std::size_t i = 0; i < reals_; ++i) {
+        for (std::size_t k = 0; k < count; ++k) copy(i * group_.stride + places[k], begins[k] + i);
+      }
+    }
   }
 
   const ElementGroup& group_;
