@@ -19,6 +19,8 @@ using mesh::kNone;
 
 /// Ranges that an edit has room for from the start.
 constexpr std::size_t kUsualRanges = std::size_t{1} << 16;
+/// Triangles and vertices that a surface has room for from the start.
+constexpr std::uint32_t kUsualSurface = 1u << 16;
 /// Elements that write_all computes at once.
 constexpr std::size_t kElementsAtOnce = 16384;
 
@@ -88,9 +90,9 @@ Editor::Editor(const Model& m)
   }
   if (m.visible.count() > 0) surfaces_.resize(m.bodies.size());
   for (BodySurface& surface : surfaces_) {
-    surface.dead_triangles.reserve(tables().max_new_triangles);
-    surface.appended_vertices.reserve(tables().max_new_vertices);
-    surface.appended_triangles.reserve(tables().max_new_triangles);
+    surface.dead_triangles.reserve(std::min(tables().max_new_triangles, kUsualSurface));
+    surface.appended_vertices.reserve(std::min(tables().max_new_vertices, kUsualSurface));
+    surface.appended_triangles.reserve(std::min(tables().max_new_triangles, kUsualSurface));
   }
   gone_.reserve(kept_.size());
   batches_.reserve(kept_.size());

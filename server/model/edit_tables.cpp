@@ -408,8 +408,11 @@ class TablesMaker {
     }
     const Editing& editing = *m_.editing;
     const auto growth = [](std::size_t now) { return static_cast<std::uint32_t>(now / kGrowthDivisor + kLeastGrowth); };
-    out_.max_new_triangles = editing.max_new_triangles.value_or(growth(triangles));
-    out_.max_new_vertices = editing.max_new_vertices.value_or(growth(m_.visible.vertex_count));
+    // Until a reset each face comes to light once, and each row becomes a vertex once.
+    out_.max_new_triangles = std::min(editing.max_new_triangles.value_or(growth(triangles)),
+                                      static_cast<std::uint32_t>(out_.pieces.items.size()));
+    out_.max_new_vertices =
+        std::min(editing.max_new_vertices.value_or(growth(m_.visible.vertex_count)), m_.layout.row_count);
     m_.visible.room = out_.max_new_vertices;
     m_.visible.rows.resize(m_.visible.rows.size() + 4 * std::size_t{out_.max_new_vertices}, 0);
     m_.visible.weights.resize(m_.visible.rows.size(), 0);

@@ -30,6 +30,8 @@ def run(args: argparse.Namespace) -> int:
         raise InvalidArgumentError(f"{args.scene}: a bare mesh; write a scene file that says what happens to it")
     file = SceneFile.read(args.scene)
     message = file.message()
+    if message.HasField("editing"):
+        raise InvalidArgumentError(f"{args.scene}: editing: what is measured never changes; leave it out")
     folder = args.out or Path(f"trade-{message.name}")
     others = _read_others(args.confirm, folder)
     with launch(backend=args.backend, cpu_threads=args.cpu_threads, zenoh=False) as server:
