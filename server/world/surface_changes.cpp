@@ -9,6 +9,8 @@ namespace tensormass::world {
 namespace {
 /// v1::BodyChanges::Face of a face that comes to light where an element was burnt away.
 constexpr std::uint8_t kBurntFace = 2;
+/// Triangles and vertices that changes have room for from the start.
+constexpr std::size_t kUsual = std::size_t{1} << 16;
 }  // namespace
 
 SurfaceChangesMaker::SurfaceChangesMaker(const model::Model& model) {
@@ -19,10 +21,11 @@ SurfaceChangesMaker::SurfaceChangesMaker(const model::Model& model) {
     kept->bodies.resize(model.bodies.size());
     for (std::size_t b = 0; b < model.bodies.size(); ++b) {
       BodyChanges& body = kept->bodies[b];
-      body.dead_triangles.reserve(model.bodies[b].triangles.size() + tables.max_new_triangles);
-      body.appended_vertices.reserve(tables.max_new_vertices);
-      body.appended_triangles.reserve(tables.max_new_triangles);
-      body.appended_kinds.reserve(tables.max_new_triangles);
+      const std::size_t triangles = std::min<std::size_t>(tables.max_new_triangles, kUsual);
+      body.dead_triangles.reserve(std::min(model.bodies[b].triangles.size() + triangles, kUsual));
+      body.appended_vertices.reserve(std::min<std::size_t>(tables.max_new_vertices, kUsual));
+      body.appended_triangles.reserve(triangles);
+      body.appended_kinds.reserve(triangles);
     }
   }
 }

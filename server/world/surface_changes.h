@@ -38,7 +38,7 @@ using SurfaceChangesPointer = std::shared_ptr<const SurfaceChanges>;
 /// tool burns an element away allocates nothing.
 class SurfaceChangesMaker {
  public:
-  /// Reserves for all that the scene's editing allows; nothing if it has none.
+  /// Reserves for what the scene's editing allows, up to 65,536 triangles; nothing if it has none.
   explicit SurfaceChangesMaker(const model::Model& model);
 
   /// Returns the present changes if the surface is not as at the last call, else nullptr.
