@@ -8,7 +8,7 @@
 
 namespace tensormass::world {
 
-/// A scene between two adjustments. Constant, so a thread that has it knows of which values a state is.
+/// A scene between two adjustments. Constant: a thread that has it knows the values of a state.
 struct Generation {
   std::uint64_t number = 0;  ///< counts the adjustments
   std::shared_ptr<const model::Model> model;
