@@ -74,7 +74,7 @@ void Loop::enqueue(std::function<void()> command) {
 // -- the loop's thread ------------------------------------------------------------------------------------------------
 
 void Loop::run() {
-  name_thread("loop " + model_.name);
+  name_thread("loop " + model().name);
   // By default the kernel lets timers fire 50 us late, to save power. docs/decisions/haptics.md has the numbers.
   prctl(PR_SET_TIMERSLACK, 1UL);
   clock_.restart(Clock::now());
