@@ -26,10 +26,12 @@ struct Scattered {
   std::uint32_t bytes;  ///< 1, 2 or 4
 };
 
-__global__ inline void scatter(const Scattered* entries, std::uint32_t count) {
+/// A template, because several sources include it.
+template <class Entry>
+__global__ void scatter(const Entry* entries, std::uint32_t count) {
   const std::uint32_t i = blockIdx.x * blockDim.x + threadIdx.x;
   if (i >= count) return;
-  const Scattered entry = entries[i];
+  const Entry entry = entries[i];
   if (entry.bytes == 4) *static_cast<std::uint32_t*>(entry.to) = entry.value;
   if (entry.bytes == 2) *static_cast<std::uint16_t*>(entry.to) = static_cast<std::uint16_t>(entry.value);
   if (entry.bytes == 1) *static_cast<std::uint8_t*>(entry.to) = static_cast<std::uint8_t>(entry.value);
