@@ -68,7 +68,7 @@ class Editor {
   /// Does an edit that was checked. Allocates nothing as long as edits are about as large as before.
   const ModelEdit& ablate(Model& m, std::span<const Ablation> ablations);
 
-  /// What is left of the scene: elements that are gone, in the order in which they went, as many at once as an edit
+  /// The rest of the scene: elements that are gone, in the order in which they went, as many at once as an edit
   /// took, then those that have lost a part.
   struct Shares {
     std::vector<Ablation> ablations;

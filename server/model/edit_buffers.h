@@ -11,7 +11,7 @@
 #include "core/assert.h"
 #include "model/model.h"
 
-/// The buffers that an edit may change: which vector of the model each one holds, and of which type.
+/// The buffers that an edit may change: each holds one vector of the model, converted to a type.
 ///
 ///                      +--> bind (bind.h): the whole vector, once
 ///   BufferOf<kRest> ──+
@@ -46,7 +46,7 @@ enum class EditBuffer : std::uint8_t {
   kVisibleRows,
   kVisibleWeights,
   kCount,
-  // Of a group (EditRange::group):
+  // Those of a group (EditRange::group):
   kElementRows = kCount,
   kElementRest,  ///< kEdges: as ElementGroup::rest; else within the records
 };
@@ -93,7 +93,7 @@ TM_EDIT_BUFFER(kVisibleRows, visible.rows, "visible rows", std::uint32_t);
 TM_EDIT_BUFFER(kVisibleWeights, visible.weights, "visible weights", Real);
 #undef TM_EDIT_BUFFER
 
-/// Where the buffers of a scene are, [EditBuffer]. Null: the scene does not need it.
+/// Places of the buffers of a scene, [EditBuffer]. Null: the scene does not need it.
 using SceneBuffers = std::array<void*, static_cast<std::size_t>(EditBuffer::kCount)>;
 /// The same of a group. kEdges has `rest`, other storages have `records`.
 template <class Real>

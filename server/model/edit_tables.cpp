@@ -223,7 +223,7 @@ class TablesMaker {
       for (std::size_t c = 0; c < 3; ++c) {
         const double whole = entry == kNone ? m_.external[4 * row + c] : m_.scheduled.forces[3 * entry + c];
         const double weight = m_.row_mass[row] * m_.gravity_m_per_s2[static_cast<Eigen::Index>(c)];
-        // What is left of a row without a load is rounding.
+        // A row without a load is left with rounding.
         constexpr double kRounding = 1e-14;
         const double load = whole - weight;
         out_.loads[3 * row + c] = std::abs(load) > kRounding * std::abs(weight) ? load : 0;

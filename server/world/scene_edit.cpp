@@ -80,7 +80,7 @@ void write_items(const std::vector<T>& items, std::string& out) {
 template <class T>
 Result<std::vector<T>> read_items(const std::string& bytes, std::size_t most, std::string_view where) {
   if (bytes.size() % sizeof(T) != 0 || bytes.size() / sizeof(T) > most) {
-    return invalid(fmt::format("snapshot.{}: {} bytes are no list for this scene", where, bytes.size()));
+    return invalid(fmt::format("snapshot.{}: {} bytes do not fit the elements of this scene", where, bytes.size()));
   }
   std::vector<T> out(bytes.size() / sizeof(T));
   if (!out.empty()) std::memcpy(out.data(), bytes.data(), bytes.size());

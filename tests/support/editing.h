@@ -70,7 +70,7 @@ inline v1::Scene edited_beam(const EditedBeam& of) {
   return scene;
 }
 
-/// Edits with random elements, some of which keep a part of their material.
+/// Edits with random elements. Some keep a part of their material.
 class RandomEdits {
  public:
   explicit RandomEdits(std::uint32_t seed) : random_(seed) {}

@@ -12,7 +12,7 @@ from tensormass._shared.names import suggestion
 from tensormass._shared.vectors import Vector, finite_numbers, quaternion, vector3
 from tensormass._src.meshes import TriangleSurface
 from tensormass._src.packing import pack_triangles
-from tensormass.v1 import scene_pb2
+from tensormass.v1 import edit_pb2, scene_pb2
 
 
 def make_tool(
@@ -60,7 +60,7 @@ def make_tool(
             "scene_pb2.ContactMethod", enum_number(scene_pb2.ContactMethod.DESCRIPTOR, contact_method, where)
         )
     if cautery_power_w is not None:
-        tool.cautery.CopyFrom(scene_pb2.Cautery(power_w=cautery_power_w, efficiency=cautery_efficiency))
+        tool.cautery.CopyFrom(edit_pb2.Cautery(power_w=cautery_power_w, efficiency=cautery_efficiency))
     elif cautery_efficiency is not None:
         raise InvalidArgumentError(f"{name}: cautery_efficiency needs cautery_power_w")
     message = getattr(tool, kind)
