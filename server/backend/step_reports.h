@@ -64,10 +64,10 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
       for (std::size_t j = 0; j < sum.joints.size(); ++j) sum.joints[j] += static_cast<double>(load.joints[j]);
       pressed_n += static_cast<double>(load.pressed_n);
       for (std::size_t i = 0; i < 2; ++i) moduli[i] += static_cast<double>(load.pressed_moduli[i]);
-      const double squared = static_cast<double>(load.tip_squared);
-      if (load.tip_triangle != view::kNoTriangle && squared < tip_squared) {
+      const double squared = static_cast<double>(load.tip.distance_squared);
+      if (load.tip.triangle != view::kNoTriangle && squared < tip_squared) {
         tip_squared = squared;
-        sum.tip_triangle = load.tip_triangle;
+        sum.tip_triangle = load.tip.triangle;
       }
     }
     if (pressed_n > 0) {

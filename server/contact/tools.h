@@ -502,9 +502,8 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
                                     std::uint32_t t) {
   const physics::PlacedTool<Real> tool = contact.tools[t];
   const bool has_friction = tool.friction > 0, remembers = has_friction || tool.keeps_force != 0;
-  constexpr std::size_t kJoints = Kind::kJoints.size();
   // Force, torque, friction, pressure, pressure times moduli, joints. Summed over the patch together.
-  constexpr std::size_t kPressed = 9, kOfJoints = 12;
+  constexpr std::size_t kPressed = 9, kOfJoints = 12, kJoints = Kind::kJoints.size();
   Real sums[kOfJoints + kJoints]{};
   Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero(), friction = Vec3<Real>::Zero();
   const auto add = [&](std::uint32_t triangle, std::uint32_t contact_point) {
@@ -575,16 +574,13 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
   team.patch_sum(sums);
   if (team.leads_patch()) {
     auto& load = contact.tool_loads[std::size_t{t} * patches.patch_count + team.patch()];
-    load = {{sums[0], sums[1], sums[2]}, {sums[3], sums[4], sums[5]}, {sums[6], sums[7], sums[8]}, {}, 0, {}, 0, 0};
-    for (std::size_t j = 0; j < kJoints; ++j) load.joints[j] = sums[kOfJoints + j];
+    load = {{sums[0], sums[1], sums[2]}, {sums[3], sums[4], sums[5]}, {sums[6], sums[7], sums[8]}, {}, 0, {}, {}};
     load.pressed_n = sums[kPressed];
+    for (std::size_t j = 0; j < kJoints; ++j) load.joints[j] = sums[kOfJoints + j];
     for (std::size_t i = 0; i < 2; ++i) load.pressed_moduli[i] = sums[kPressed + 1 + i];
-    load.tip_triangle = view::kNoTriangle;
-    if constexpr (Kind::kCorePoints > 0) {
-      const auto& tip = contact.closest[std::size_t{tool.first_core_point} * patches.patch_count + team.patch()];
-      load.tip_squared = tip.distance_squared;
-      load.tip_triangle = tip.triangle;
-    }
+    load.tip.triangle = view::kNoTriangle;
+    if constexpr (Kind::kCorePoints > 0)
+      load.tip = contact.closest[std::size_t{tool.first_core_point} * patches.patch_count + team.patch()];
   }
 }
 

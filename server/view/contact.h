@@ -50,8 +50,7 @@ struct ToolLoad {
   Real joints[limits::kMaxToolJoints];  // [N m or N] force along each joint
   Real pressed_n;                       // Σ N over the contacts that push
   Real pressed_moduli[2];               // Σ N E and Σ N E / (1 − ν²) over them [N Pa]
-  Real tip_squared;                     // squared distance from core point 0 to the patch's closest triangle [m²]
-  std::uint32_t tip_triangle;           // that triangle; kNoTriangle: none, or the tool is no thin one
+  ClosestTriangle<Real> tip;            // that of core point 0 in the patch; a solid has none
 };
 
 template <class Real>

@@ -23,7 +23,6 @@ from fake_daemon import Endpoints, fake_daemon, frame_of, triangle_topology
 from gateway_parts import browse, load, options, origin, publish
 
 from tensormass.v1 import control_pb2, stream_pb2
-from tensormass_gateway.daemon import PEDAL_S
 from tensormass_gateway.feed import BUS_STREAMS
 from tensormass_gateway.gateway import Gateway, serve
 from tensormass_gateway.options import GatewayOptions, add_arguments, options_from
@@ -378,33 +377,6 @@ async def test_allowed_poses_reach_the_daemon(viewer: Path) -> None:
             assert before_ns <= poses[0][1].client_time_ns <= poses[1][1].client_time_ns <= time.time_ns()
             assert poses[0][1].client_id == poses[1][1].client_id != 0
             assert not any(pose.HasField("orientation") for _, pose in poses)
-
-
-@asynchronous
-async def test_a_pose_with_power_ends_when_the_page_is_gone(viewer: Path) -> None:
-    async with fake_daemon() as daemon, serve(options(viewer, daemon.control, allow_poses=True)) as gateway:
-        load(daemon)
-        async with browse(gateway, "liver") as page:
-            await page.take(Stream.TOPOLOGY)
-            for level in (0.5, 0):
-                await page.send(type="pose", tool="probe", position_m=[0, 0, -1], level=level)
-            (_, burning), (_, released) = [await daemon.next_pose(), await daemon.next_pose()]
-            assert (burning.level, burning.valid_for_s) == (0.5, PEDAL_S)
-            assert released.level == 0
-            assert not released.HasField("valid_for_s")
-
-
-@pytest.mark.parametrize("level", ["1.5", "-0.1", "NaN", '"1"', "null", "true"])
-@asynchronous
-async def test_a_level_that_is_none_is_refused(viewer: Path, level: str) -> None:
-    async with fake_daemon() as daemon, serve(options(viewer, daemon.control, allow_poses=True)) as gateway:
-        load(daemon)
-        async with browse(gateway, "liver") as page:
-            await page.take(Stream.TOPOLOGY)
-            await page.socket.send_str(f'{{"type":"pose","tool":"probe","position_m":[0,0,0],"level":{level}}}')
-            closed, why = await page.closed()
-            assert closed == 1008
-            assert "level" in why
 
 
 @asynchronous

@@ -144,8 +144,8 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
         ("hexahedron", "quadratic_tetrahedron", "quadratic_hexahedron"),
         _ELSEWHERE,
     ),
-    # Since guards judge steps otherwise (2026-11-28), quadratic tetrahedra find folded equilibria from these starts, where
-    # they came back before. Others that were caught come back: of 2,376 rows 1,411 hold, before 1,397.
+    # Since guards judge steps otherwise (2026-11-28), quadratic tetrahedra find folded equilibria from these starts,
+    # where they came back before. Others that were caught come back: of 2,376 rows 1,411 hold, before 1,397.
     ("collapsed to a point", "corotational", SHORT): (("quadratic_tetrahedron",), _ELSEWHERE),
     ("inverted", "corotational", SHORT): (("quadratic_tetrahedron",), _ELSEWHERE),
     ("at random", "corotational", SHORT): (("quadratic_tetrahedron",), _ELSEWHERE),

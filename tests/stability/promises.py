@@ -26,8 +26,8 @@ PROMISES: dict[str, tuple[str, str, str]] = {
         "caught",
     ),
     "stable_neo_hookean": (
-        "comes back; pyramids and quadratic shapes may overshoot from 10×, quadratic ones from random places; quadratic "
-        "hexahedra may rest crumpled",
+        "comes back; pyramids and quadratic shapes may overshoot from 10×, quadratic ones from random places; "
+        "quadratic hexahedra may rest crumpled",
         "comes back, except a free point: zero force and stiffness there; quadratic hexahedra may rest crumpled",
         "comes back; quadratic hexahedra may rest crumpled",
     ),

@@ -6,8 +6,8 @@
       - {time_s: 2, position_m: {x: 0.1, z: 0.06}}
 
 Between two poses the tool accelerates and brakes smoothly (minimum jerk). A pose without orientation or joint_values
-has those of the one before it. `level: 1` lets a tool with cautery burn from this pose to the next one. The last pose should be the first one again; the tool goes on from there without a
-pause.
+has those of the one before it. `level: 1` lets a tool with cautery burn from this pose to the next one. The last pose
+should be the first one again; the tool goes on from there without a pause.
 """
 
 from __future__ import annotations
