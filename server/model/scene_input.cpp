@@ -12,6 +12,7 @@
 #include "core/names.h"
 #include "mesh/grid.h"
 #include "mesh/shapes.h"
+#include "model/model.h"
 #include "tensormass/v1/scene.pb.h"
 
 namespace tensormass::model {

@@ -35,6 +35,8 @@ enum ContactMethod : int;
 /// where, what: the place for messages, as in "scene.name", "scene.bodies[2].name" or "body 'liver'.density_kg_per_m3".
 namespace tensormass::model {
 
+struct ToolModel;
+
 /// Refuses names that is_valid_name (core/names.h) does not allow.
 Result<void> check_name(std::string_view name, std::string_view what);
 
