@@ -87,7 +87,7 @@ def test_a_hand_steps_on_the_pedal(server: tm.Server, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("level", [-0.1, 1.5, float("nan")])
-def test_refuses_levels_that_are_none(server: tm.Server, level: float) -> None:
+def test_refuses_levels_out_of_range(server: tm.Server, level: float) -> None:
     with (
         server.load(block(), lockstep=True) as scene,
         pytest.raises(tm.InvalidArgumentError, match="level"),

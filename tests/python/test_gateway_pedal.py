@@ -30,7 +30,7 @@ async def test_a_pose_with_power_ends_when_the_page_is_gone(viewer: Path) -> Non
 
 @pytest.mark.parametrize("level", ["1.5", "-0.1", "NaN", '"1"', "null", "true"])
 @asynchronous
-async def test_a_level_that_is_none_is_refused(viewer: Path, level: str) -> None:
+async def test_refuses_a_level_out_of_range(viewer: Path, level: str) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control, allow_poses=True)) as gateway:
         load(daemon)
         async with browse(gateway, "liver") as page:

@@ -131,7 +131,7 @@ TEST_P(Cautery, SparesTheLastElement) {
   EXPECT_LT(removed_m3(*runner), 0.1 * 0.05 * 0.1);
 }
 
-TEST_P(Cautery, RefusesLevelsThatAreNone) {
+TEST_P(Cautery, RefusesLevelsOutOfRange) {
   const auto runner = load(burnable_block());
   for (const double level :
        {-0.1, 1.1, std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
