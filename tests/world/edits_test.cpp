@@ -47,7 +47,8 @@ std::string text_of(const std::vector<DoneEdit>& edits) {
     } else if (const auto* state = std::get_if<Restore>(&*done.edit)) {
       out += state->snapshot;
     } else if (const auto* change = std::get_if<ChangeScene>(&*done.edit)) {
-      out += "x" + std::to_string(change->edit.ablations(0).elements(0));
+      out += 'x';
+      out += std::to_string(change->edit.ablations(0).elements(0));
     } else {
       out += "0";
     }
