@@ -230,12 +230,12 @@ TEST_P(Editing, EditedClustersAreMeansOverWhatIsLeft) {
     for (int round = 0; round < 8; ++round) {
       ASSERT_TRUE(world->edit(random.next(*world->editor(), m.bodies[0].element_count, 10), {}));
     }
-    World::Saved saved = world->save();
+    World::Copied saved = world->copy();
     std::vector<Vec3<double>> u;  // [node]
     for (const std::uint32_t row : m.layout.row_of_node) {
       const Vec3<double> x = view::load3<double>(m.rest.data(), row);
       u.push_back(Vec3<double>(x[1] * x[1] + 0.2 * x[0] * x[2], 0.6 * x[0] * x[0], 0.4 * x[0] * x[1]));
-      view::store3<double>(saved.rows.displacement.data(), row, u.back());
+      view::store3<double>(saved.tissue.rows.displacement.data(), row, u.back());
     }
     world->restore(saved);
     world->diagnose();
@@ -310,8 +310,8 @@ TEST_P(Editing, APartOfTheMaterialIsAPartOfTheStiffness) {
         const double x = edited->model().rest[4 * row];
         bent.displacement[4 * row + 1] = edited->model().rest[4 * row + 3] > 0 ? 0.5 * x * x : 0;
       }
-      World::Saved saved = edited->save(), whole = loaded->save();
-      saved.rows.displacement = whole.rows.displacement = bent.displacement;
+      World::Copied saved = edited->copy(), whole = loaded->copy();
+      saved.tissue.rows.displacement = whole.tissue.rows.displacement = bent.displacement;
       edited->restore(saved);
       loaded->restore(whole);
       edited->diagnose();
