@@ -55,15 +55,16 @@ TEST_P(Cautery, RemovesEnergyOverTheTissuesWithinOneElement) {
     EXPECT_EQ(removed_m3(*runner), 0) << "no level, no power";
     constexpr int kSteps = 90;
     double sunk_m = 0.056;
-    int touching = 0;
+    double touching = 0;  // steps with power on tissue
     for (int i = 0; i < kSteps; ++i) {
-      sunk_m -= 2e-4;  // the hand follows what goes
+      sunk_m -= 5e-5;  // the hand follows what goes
       ASSERT_TRUE(runner->submit_pose("probe", pressed(level, sunk_m)));
       ASSERT_TRUE(runner->step(1));
-      touching += runner->feedback("probe")->touching() ? 1 : 0;
+      const auto felt = runner->feedback("probe");
+      touching += felt->touching() ? felt->level() : 0;
     }
-    const double expected_m3 = level * kPowerW * kEfficiency * touching * kDtS / kAblationJPerM3;
-    EXPECT_GT(touching, kSteps / 2);
+    const double expected_m3 = kPowerW * kEfficiency * touching * kDtS / kAblationJPerM3;
+    EXPECT_GT(touching, level * kSteps / 2);
     EXPECT_NEAR(removed_m3(*runner), expected_m3, kElementM3) << "level " << level << ", " << touching << " steps";
     v1::SurfaceChanges changes;
     ASSERT_TRUE(runner->changes(changes)) << "clients are told";
@@ -88,10 +89,10 @@ TEST_P(Cautery, GoesOnFromASnapshotToTheLastBit) {
     ASSERT_TRUE(snapshot);
     const auto restored = second->restore(snapshot->snapshot());
     ASSERT_TRUE(restored) << restored.error().message;
-    EXPECT_EQ(removed_m3(*second), removed_m3(*first));
+    EXPECT_DOUBLE_EQ(removed_m3(*second), removed_m3(*first));  // added up in another order
     for (const auto* runner : {&first, &second}) ASSERT_TRUE((*runner)->step(40));
     EXPECT_GT(removed_m3(*first), 0);
-    EXPECT_EQ(removed_m3(*second), removed_m3(*first));
+    EXPECT_DOUBLE_EQ(removed_m3(*second), removed_m3(*first));  // added up in another order
     EXPECT_EQ(first->positions("beam")->positions(), second->positions("beam")->positions());
   }
 }

@@ -8,6 +8,7 @@
 #include <variant>
 #include <vector>
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include "support/on_runner.h"
@@ -350,7 +351,8 @@ TEST_P(Editing, AReplayRefusesEditsThatDoNotFit) {
   bad = good;
   for (std::size_t i = 0; i < kMaxEditsOfStep; ++i) *bad.add_edits() = good.edits(0);
   bad.mutable_steps(1)->set_edits(kMaxEditsOfStep + 1);
-  EXPECT_REFUSED(second->replay(bad), ErrorCode::kInvalidArgument, "edits[3]: more than kMaxEditsOfStep = 3");
+  EXPECT_REFUSED(second->replay(bad), ErrorCode::kInvalidArgument,
+                 fmt::format("edits[{0}]: more than kMaxEditsOfStep = {0}", kMaxEditsOfStep));
   bad = good;
   bad.mutable_edits(0)->clear_edit();
   EXPECT_REFUSED(second->replay(bad), ErrorCode::kInvalidArgument, "edits[0]: has no edit");
