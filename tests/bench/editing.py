@@ -2,7 +2,7 @@
 
     python tests/bench/editing.py [--backend cuda] [--steps N] [--commit HASH] >> tests/bench/results/editing.jsonl
 
-The demo under its scripted hand, without its skin, is stepped in lockstep three times: as it is, with `editing` and no
+The built-in scene `retract` under its scripted hand, without its skin, is stepped in lockstep three times: as it is, with `editing` and no
 edit, and with an edit in every second step that takes one element more. The three take turns of 32 steps, so that a
 slower moment of the machine slows all. `edit_ms` is the time of the whole call, from the client and back; a call that
 changes nothing (`call_ms`) is measured beside it.
@@ -22,12 +22,13 @@ import tensormass as tm
 from tensormass_tools.hand import HandScript, script_of
 from tensormass_tools.presets import read_for_backend
 
+_NAME = "retract"
 _TURN = 32
 _EDIT_EVERY = 2
 
 
 def _scene(backend: str, *, editing: bool) -> tm.Scene:
-    scene = read_for_backend("demo", backend) or tm.Scene.from_file("demo")
+    scene = read_for_backend(_NAME, backend) or tm.Scene.from_file(_NAME)
     for body in scene.message.bodies:
         body.ClearField("skin")
         body.ClearField("texture")
@@ -44,7 +45,7 @@ def _percentiles(prefix: str, seconds: list[float]) -> dict[str, float]:
 
 
 def _measure(server: tm.Server, backend: str, steps: int) -> dict[str, Any]:
-    path = script_of("demo")
+    path = script_of(_NAME)
     assert path is not None
     script = HandScript.read(path)
     random = np.random.default_rng(7)
@@ -74,7 +75,7 @@ def _measure(server: tm.Server, backend: str, steps: int) -> dict[str, Any]:
                     begin = time.perf_counter()
                     edited.edit(ablate={body.name: [next(burnt)]})
                     edits.append(time.perf_counter() - begin)
-        row: dict[str, Any] = {"case": "editing: demo", "elements": body.element_count, "steps": steps}
+        row: dict[str, Any] = {"case": f"editing: {_NAME}", "elements": body.element_count, "steps": steps}
         for name, scene in (("plain", plain), ("editing", ready), ("edited", edited)):
             of = scene.step_times()
             row |= {f"{name}_ms_median": round(1e3 * of.p50_s, 4), f"{name}_ms_p99": round(1e3 * of.p99_s, 4)}
