@@ -30,7 +30,7 @@ VALID: dict[str, dict[str, Any]] = {
     "clock": {"client_time_ms": 12.5},
     "frames": {"codec": "delta", "rate_hz": 30.0, "normals": True, "detail": 0.5},
     "field": {"name": "von_mises"},
-    "pose": {"tool": "probe", "position_m": [0.0, 1.0, -2.5], "orientation": [1.0, 0.0, 0.0, 0.0]},
+    "pose": {"tool": "probe", "position_m": [0.0, 1.0, -2.5], "orientation": [1.0, 0.0, 0.0, 0.0], "level": 0.5},
     "control": {
         "id": 7,
         "action": "adjust",

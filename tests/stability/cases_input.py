@@ -83,6 +83,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     first = scene.bodies[0]
     first.rayleigh_mass_per_s, first.rayleigh_stiffness_s = 1, 1e-3
     first.color_srgb.x = 0.5
+    first.ablation_j_per_m3 = 2e9
     first.mesh.scale = 1.0
     first.mesh.translation_m.x = 0.25
     first.fixed.add().sphere.radius_m = 1e-3
@@ -149,6 +150,18 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
             surface = tool.mesh.surface.packed
             surface.vertex_positions = packed([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
             surface.triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<u4").tobytes()
+    return scene
+
+
+def burning_scene(engine: Engine) -> scene_pb2.Scene:
+    """A scene with what `whole_scene` cannot have beside its skin: editing, and a tool that burns."""
+    mesh = box("hexahedron", (2, 1, 1), (CUBE_M,) * 3)
+    scene = real_time(engine, Problem(mesh, tissue("hooke"), [clamped(mesh)]))
+    scene.editing.SetInParent()
+    tool = scene.tools.add(name="hook")
+    tool.spherical_probe.radius_m = 0.01
+    tool.position_m.z = 1
+    tool.cautery.power_w, tool.cautery.efficiency = 30, 0.3
     return scene
 
 
@@ -250,8 +263,8 @@ def _harm(engine: Engine, scene: scene_pb2.Scene) -> tuple[str, np.ndarray]:
     return "", moved
 
 
-def _spoil_scene(engine: Engine, place: Place) -> Found:
-    good = whole_scene(engine)
+def _spoil_scene(engine: Engine, place: Place, good_scene: Callable[[Engine], scene_pb2.Scene]) -> Found:
+    good = good_scene(engine)
     refused = harmless = 0
     bad: list[str] = []
     for value in (*VALUES, -place.get(good)):
@@ -326,9 +339,10 @@ def _spoil_pose(engine: Engine, place: Place, good: stream_pb2.ToolPose) -> Foun
 
 
 def input_cases() -> Iterator[Case]:
-    template = whole_scene(Engine(cast("tm.Server", None), "float"))
+    unused = Engine(cast("tm.Server", None), "float")
     seen: set[str] = set()
-    for place in places(template):
+    all_places = ((scene, place) for scene in (whole_scene, burning_scene) for place in places(scene(unused)))
+    for scene, place in all_places:
         # The same field of another body adds nothing; each law has fields of its own.
         short = re.sub(r"\[\d+\]", "", place.path)
         if short in seen:
@@ -339,7 +353,7 @@ def input_cases() -> Iterator[Case]:
             short,
             "any",
             "any",
-            partial(_spoil_scene, place=place),
+            partial(_spoil_scene, place=place, good_scene=scene),
             precisions=("float",),
             quick=True,
             solves=STEPS * (len(VALUES) + 1),
