@@ -43,7 +43,7 @@ struct ToolForce {
   /// E and E / (1 − ν²) of the tissue that it touches, means weighted by pressure [Pa]; 0: it touches nothing.
   double young_modulus_pa = 0, plane_strain_modulus_pa = 0;
   /// The contact triangle that was closest to the tip of a thin tool where the step began, and its distance from the
-  /// tip's centre; mesh::kNone and infinity: there is none.
+  /// tip's centre. A solid, and a scene without contact triangles: mesh::kNone and infinity.
   std::uint32_t tip_triangle = mesh::kNone;
   double tip_distance_m = std::numeric_limits<double>::infinity();
 };

@@ -75,11 +75,11 @@ class LoopOutputs {
   /// Takes the newest frame; false if no step has made one since the last call. The frame has the topology version of
   /// its step, also if the world has a newer topology by now.
   bool take_frame(v1::Frame& frame);
-  /// Takes the newest feedback of all tools; false if there is none since the last call.
+  /// Takes the newest feedback of all tools; false if the last call took it.
   bool take_feedback(std::vector<v1::ToolFeedback>& feedback);
-  /// Takes the newest changes of the surface; false if there are none since the last call.
+  /// Takes the newest changes of the surface; false if they are those of the last call.
   bool take_changes(v1::SurfaceChanges& changes);
-  /// Takes the last events; false if there is none since the last call.
+  /// Takes the last events; false if nothing happened since the last call.
   bool take_events(v1::SceneEvents& events);
 
   // -- any thread -----------------------------------------------------------------------------------------------------

@@ -139,13 +139,13 @@ class Runner {
 
   /// signal: void(), called on the loop's thread after it published something. Must not block: it wakes the publisher.
   void set_output_signal(std::function<void()> signal);
-  /// Takes the newest frame; false if there is none since the last call. One reader.
+  /// Takes the newest frame; false if the last call took it. One reader.
   bool take_frame(v1::Frame& frame);
-  /// Takes the newest feedback of all tools; false if there is none since the last call. One reader.
+  /// Takes the newest feedback of all tools; false if the last call took it. One reader.
   bool take_feedback(std::vector<v1::ToolFeedback>& feedback);
-  /// Takes the newest changes of the surface; false if there are none since the last call. One reader.
+  /// Takes the newest changes of the surface; false if they are those of the last call. One reader.
   bool take_changes(v1::SurfaceChanges& changes);
-  /// Takes the last events; false if there is none since the last call. One reader.
+  /// Takes the last events; false if nothing happened since the last call. One reader.
   bool take_events(v1::SceneEvents& events);
   /// Fills `status` and returns true if one is due: by the scene's status rate, or after a change of state. One reader.
   bool take_status(v1::SceneStatus& status);

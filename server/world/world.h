@@ -245,7 +245,7 @@ class World {
   std::optional<model::Editor> editor_;  // no value: the scene has no editing
   model::ModelEdit severed_;             // springs of the present edit
   std::vector<double> unspent_j_;        // [tool] see Saved::Tool
-  std::vector<std::uint32_t> spared_;    // [tool] element that the tip may not burn; mesh::kNone: there is none
+  std::vector<std::uint32_t> spared_;    // [tool] element that the tip may not burn, else mesh::kNone
   std::vector<ToolMotion> tools_;
   std::vector<backend::ToolForce> published_;  // [tool], at the end of the last step
   bool contact_jumped_ = false;                // in the last step, or its last part

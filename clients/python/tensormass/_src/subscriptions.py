@@ -119,7 +119,7 @@ class Subscription(Stream, Generic[MessageType]):
             left_s = max(0.0, left_s - min(wait_s, time.monotonic() - begin))
 
     def newest(self) -> MessageType | None:
-        """Returns the newest message that was not yet taken; None if there is none now."""
+        """Returns the newest message, or None if it was taken already."""
         self._check_open()
         payload = self._source.receive(0.0)
         if payload is None:
