@@ -2,10 +2,10 @@
 
     python tests/bench/editing.py [--backend cuda] [--steps N] [--commit HASH] >> tests/bench/results/editing.jsonl
 
-The built-in scene `retract` under its scripted hand, without its skin, is stepped in lockstep three times: as it is, with `editing` and no
-edit, and with an edit in every second step that takes one element more. The three take turns of 32 steps, so that a
-slower moment of the machine slows all. `edit_ms` is the time of the whole call, from the client and back; a call that
-changes nothing (`call_ms`) is measured beside it.
+The built-in scene `retract` under its scripted hand, without its skin, is stepped in lockstep three times: as it is,
+with `editing` and no edit, and with an edit in every second step that takes one element more. The three take turns of
+32 steps, so that a slower moment of the machine slows all. `edit_ms` is the time of the whole call, from the client and
+back; a call that changes nothing (`call_ms`) is measured beside it.
 """
 
 from __future__ import annotations
