@@ -41,7 +41,7 @@ struct DeviceInfo {
 };
 
 /// The widest angle of a tool's jaws that the protocol allows [rad]; the least is zero (message Grasper).
-inline constexpr double kMostJawAngleRad = 2.5;
+inline constexpr double kMaxJawAngleRad = 2.5;
 
 /// Pose of the tool in the scene's frame. A pose is invalid in three cases: a coordinate is not finite or exceeds
 /// limits::kMaxLength, the quaternion's length is off 1 by 1 % or more, or the jaws' angle is out of its range. For an
@@ -49,7 +49,7 @@ inline constexpr double kMostJawAngleRad = 2.5;
 struct DevicePose {
   Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
   Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
-  /// Angle between the tool's jaws, zero to kMostJawAngleRad. Only for a tool that has jaws.
+  /// Angle between the tool's jaws, zero to kMaxJawAngleRad. Only for a tool that has jaws.
   std::optional<double> jaw_angle_rad = std::nullopt;
 };
 

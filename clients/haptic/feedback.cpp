@@ -17,7 +17,7 @@ namespace {
 // Relative. The server works in single precision by default, so its stiffness is symmetric only up to rounding.
 constexpr double kStiffnessTolerance = 1e-3;
 // A scene may be paused for days between a pose and the next step.
-constexpr double kMostServerTimeS = 1e9;
+constexpr double kMaxServerTimeS = 1e9;
 
 void to_proto(const Eigen::Vector3d& v, v1::Vector3& out) {
   out.set_x(v.x());
@@ -106,7 +106,7 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
   for (const auto& [seconds, ns] :
        {std::pair{message.pose_waited_s(), &feedback.waited_ns}, std::pair{message.step_s(), &feedback.step_ns},
         std::pair{message.published_after_s(), &feedback.published_after_ns}}) {
-    if (!(seconds >= 0 && seconds < kMostServerTimeS)) return invalid("feedback: a time of the server is out of range");
+    if (!(seconds >= 0 && seconds < kMaxServerTimeS)) return invalid("feedback: a time of the server is out of range");
     *ns = static_cast<std::int64_t>(seconds * kNsPerS);
   }
   return feedback;

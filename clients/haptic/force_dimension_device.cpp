@@ -130,7 +130,7 @@ Result<DevicePose> ForceDimensionDevice::read_device() const {
     double angle_rad = 0;
     if (functions_->get_gripper_angle(&angle_rad, id_) < 0) return failed("read its gripper");
     // The server refuses angles out of its range; an angle that is not a number stays one, and the loop sees it.
-    pose.jaw_angle_rad = std::clamp(angle_rad, 0.0, kMostJawAngleRad);
+    pose.jaw_angle_rad = std::clamp(angle_rad, 0.0, kMaxJawAngleRad);
   }
   return pose;
 }

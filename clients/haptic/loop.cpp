@@ -22,7 +22,7 @@ std::uint64_t random_id() {
 /// Returns false for an invalid pose (see DevicePose).
 bool is_valid(const DevicePose& pose) {
   const double jaws_rad = pose.jaw_angle_rad.value_or(0.0);
-  return is_position(pose.position_m) && is_rotation(pose.orientation) && jaws_rad >= 0 && jaws_rad <= kMostJawAngleRad;
+  return is_position(pose.position_m) && is_rotation(pose.orientation) && jaws_rad >= 0 && jaws_rad <= kMaxJawAngleRad;
 }
 
 /// Bounds the options by the device. fmin returns the device's bound if an option is NaN.

@@ -266,7 +266,7 @@ void add_options(CLI::App& app, Options& o) {
          "--jaw-angle", o.jaw_angle_rad,
          "Angle at which the fingers hold the jaws of a tool that has them [rad]; default: the jaws stay as they "
          "are")
-      ->check(Within(0.0, kMostJawAngleRad))
+      ->check(Within(0.0, kMaxJawAngleRad))
       ->group(hand);
 
   const std::string force = "Force";

@@ -46,7 +46,7 @@ constexpr int kFirstButton = 1;
 
 constexpr double kMPerMm = 1e-3;
 /// Errors taken from the stack at once: more is a library that never says success.
-constexpr int kMostErrors = 32;
+constexpr int kMaxErrors = 32;
 
 /// The maker's x axis points to the right, y up and z to the operator.
 const DeviceAxes kAxes{(Eigen::Matrix3d() << 1, 0, 0, 0, 0, -1, 0, 1, 0).finished()};
@@ -102,7 +102,7 @@ struct Functions {
   /// Empties the error stack. Returns the oldest error, because the others follow from it.
   std::optional<HdError> take_error() const {
     std::optional<HdError> oldest;
-    for (int i = 0; i < kMostErrors; ++i) {
+    for (int i = 0; i < kMaxErrors; ++i) {
       const HdError error = get_error();
       if (error.code == kSuccess) break;
       oldest = error;

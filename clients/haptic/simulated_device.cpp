@@ -81,7 +81,7 @@ Result<void> SimulatedDevice::open() {
   if (!is_not_negative(options_.angular_damping_n_m_s) || !is_not_negative(options_.hand_angular_damping_n_m_s)) {
     return invalid("simulated device: damping [N m s] must be finite and not negative");
   }
-  if (const double jaws_rad = options_.jaw_angle_rad.value_or(0.0); !(jaws_rad >= 0 && jaws_rad <= kMostJawAngleRad)) {
+  if (const double jaws_rad = options_.jaw_angle_rad.value_or(0.0); !(jaws_rad >= 0 && jaws_rad <= kMaxJawAngleRad)) {
     return invalid("simulated device: the jaws' angle [rad] is out of its range");
   }
   translation_ = oscillator_of(options_.mass_kg, options_.hand_stiffness_n_per_m,
@@ -107,7 +107,7 @@ Result<DevicePose> SimulatedDevice::read() {
   advance_to_now();
   DevicePose pose{position_m_, rotation_of(turn_rad_)};
   // The stops of the jaws.
-  if (options_.jaw_angle_rad) pose.jaw_angle_rad = std::clamp(jaws_rad_, 0.0, kMostJawAngleRad);
+  if (options_.jaw_angle_rad) pose.jaw_angle_rad = std::clamp(jaws_rad_, 0.0, kMaxJawAngleRad);
   return pose;
 }
 

@@ -26,7 +26,7 @@ struct SimulatedDeviceOptions {
   double angular_damping_n_m_s = 1e-3;
   double hand_angular_stiffness_n_m_per_rad = 2.0;
   double hand_angular_damping_n_m_s = 0.03;
-  /// Angle at which the fingers hold the jaws, zero to kMostJawAngleRad. Absent: the device has no jaws.
+  /// Angle at which the fingers hold the jaws, zero to kMaxJawAngleRad. Absent: the device has no jaws.
   std::optional<double> jaw_angle_rad = std::nullopt;
   DeviceInfo info{"simulated", 8.0, 2000.0, 20.0, 0.5, 2.0, 0.05, 0.5, 0.05};
 };

@@ -98,8 +98,8 @@ struct StepHistory {
   std::vector<double> previous_displacement;  ///< [row_count, 4] m, at the end of the step before the last
   std::vector<double> previous_velocity;      ///< [row_count, 4] m/s
   std::vector<double> slips;                  ///< view::ContactView::slips
-  std::vector<double> tie_slips;              ///< view::TiesView::slips
-  std::vector<double> broken;                 ///< view::TiesView::broken
+  std::vector<double> link_slips;             ///< view::LinksView::slips
+  std::vector<double> broken;                 ///< view::LinksView::broken
   std::vector<double> solution;               ///< [row_count, 4] of the last linear solve
   double last_dt_s = 0;                       ///< length of the last step; 0: there was none
   double largest_force_squared = 0;           ///< see solver::newton_step
@@ -143,8 +143,8 @@ class SceneState {
   virtual void apply(const model::ModelEdit& edit) = 0;
   /// Copies all buffers that steps only read, in the order of their allocation; slow, for tests.
   virtual std::vector<ConstantBuffer> read_constants() = 0;
-  /// Copies which springs of attachments are broken, as view::TiesView::broken. broken: [spring_count] 1: the spring is
-  /// broken; written.
+  /// Copies which springs of attachments are broken, as view::LinksView::broken. broken: [spring_count] 1: the spring
+  /// is broken; written.
   virtual void read_broken(std::span<std::uint8_t> broken) = 0;
   /// Measures the deformation of the elements at the present state. groups: [group_count], written.
   virtual void diagnose(std::span<GroupDiagnostics> groups) = 0;

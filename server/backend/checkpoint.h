@@ -52,8 +52,8 @@ class Checkpoint {
       copy(view.guard.checkpoint_previous_velocity, reals, view.state.previous_velocity);
     }
     copy(view.contact.checkpoint_slips, slip_reals(view.contact), view.contact.slips);
-    copy(view.ties.checkpoint_slips, slip_reals(view.ties), view.ties.slips);
-    copy(view.ties.checkpoint_broken, view.ties.spring_count, view.ties.broken);
+    copy(view.links.checkpoint_slips, slip_reals(view.links), view.links.slips);
+    copy(view.links.checkpoint_broken, view.links.spring_count, view.links.broken);
     // The step that is taken back has advanced the internal variables to the checkpoint's stress, and a retry needs
     // them there. So the first restore saves them. A later restore, after a retry of several steps, copies them back.
     for (std::size_t g = 0; g < groups.size(); ++g) {

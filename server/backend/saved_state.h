@@ -13,15 +13,15 @@
 /// The state of a scene and the history of its steps, between the buffers of a device and the host.
 namespace tensormass::backend {
 
-/// Number of reals in ContactView::slips and in TiesView::slips; 0 if contacts remember nothing.
+/// Number of reals in ContactView::slips and in LinksView::slips; 0 if contacts remember nothing.
 template <class Real>
 std::size_t slip_reals(const view::ContactView<Real>& contact) {
   return contact.slips == nullptr ? 0 : 4 * std::size_t{contact.contact_points} * contact.triangle_count;
 }
 template <class Real>
-std::size_t slip_reals(const view::TiesView<Real>& ties) {
-  if (ties.slips == nullptr) return 0;
-  return 4 * std::size_t{ties.candidate_count} + view::kEdgeMemory * std::size_t{ties.edges.slot_count()};
+std::size_t slip_reals(const view::LinksView<Real>& links) {
+  if (links.slips == nullptr) return 0;
+  return 4 * std::size_t{links.candidate_count} + view::kEdgeMemory * std::size_t{links.edges.slot_count()};
 }
 
 /// Reads the state of all rows.
@@ -53,8 +53,8 @@ void write_state(const model::Model& m, const view::SceneView<Real>& view,
   }
   // Friction starts anew and attachments are whole: a state from outside says nothing about them.
   upload(view.contact.slips, std::vector<double>(slip_reals(view.contact), 0.0));
-  upload(view.ties.slips, std::vector<double>(slip_reals(view.ties), 0.0));
-  upload(view.ties.broken, std::vector<double>(view.ties.spring_count, 0.0));
+  upload(view.links.slips, std::vector<double>(slip_reals(view.links), 0.0));
+  upload(view.links.broken, std::vector<double>(view.links.spring_count, 0.0));
   std::span<const double> histories = state.internal_variables;
   for (std::size_t g = 0; g < groups.size(); ++g) {
     const std::size_t count = m.groups[g].internal_variable_reals();
@@ -75,8 +75,8 @@ StepHistory read_history(const view::SceneView<Real>& view, const StepRecord& pa
     history.previous_velocity = download(view.state.previous_velocity, reals);
   }
   history.slips = download(view.contact.slips, slip_reals(view.contact));
-  history.tie_slips = download(view.ties.slips, slip_reals(view.ties));
-  history.broken = download(view.ties.broken, view.ties.spring_count);
+  history.link_slips = download(view.links.slips, slip_reals(view.links));
+  history.broken = download(view.links.broken, view.links.spring_count);
   if (view.solve.kept != nullptr) history.solution = download(view.solve.kept + past.solution * reals, reals);
   return history;
 }
@@ -89,12 +89,12 @@ void write_history(const view::SceneView<Real>& view, const StepHistory& history
     upload(view.state.previous_displacement, history.previous_displacement);
     upload(view.state.previous_velocity, history.previous_velocity);
   }
-  TM_ASSERT(history.slips.size() == slip_reals(view.contact) && history.tie_slips.size() == slip_reals(view.ties) &&
-                history.broken.size() == view.ties.spring_count,
+  TM_ASSERT(history.slips.size() == slip_reals(view.contact) && history.link_slips.size() == slip_reals(view.links) &&
+                history.broken.size() == view.links.spring_count,
             "a history is of the same model");
   upload(view.contact.slips, history.slips);
-  upload(view.ties.slips, history.tie_slips);
-  upload(view.ties.broken, history.broken);
+  upload(view.links.slips, history.link_slips);
+  upload(view.links.broken, history.broken);
   if (view.solve.kept != nullptr) upload(view.solve.kept, history.solution);
 }
 

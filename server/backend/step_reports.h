@@ -79,7 +79,7 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
   }
 }
 
-/// Implements SceneState::read_broken. from: TiesView::broken, on the host
+/// Implements SceneState::read_broken. from: LinksView::broken, on the host
 template <class Real>
 void copy_broken(std::span<const Real> from, std::span<std::uint8_t> to) {
   TM_ASSERT(from.size() == to.size(), "a flag for each spring");

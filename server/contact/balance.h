@@ -4,9 +4,9 @@
 
 #include "contact/friction.h"
 #include "contact/line.h"
+#include "contact/link.h"
+#include "contact/links.h"
 #include "contact/surface.h"
-#include "contact/tie.h"
-#include "contact/ties.h"
 #include "contact/tilt.h"
 #include "view/scene.h"
 
@@ -23,7 +23,7 @@
 /// So the body gets the rigid motion c = (w, ω) that restores both equations, with friction at Coulomb's limit:
 ///
 ///   v += w + ω × r,   u += h (w + ω × r)
-///   (Σ m Tᵀ T + h² Σ Tᵀ K T) c = defect       T = [I, −[r]×];  K: stiffness of contacts, ties and friction
+///   (Σ m Tᵀ T + h² Σ Tᵀ K T) c = defect       T = [I, −[r]×];  K: stiffness of contacts, links and friction
 ///
 ///   begin ─> v̂ ... solve ... measure ─> sums of each patch ─> solve ─> c of each body ─> apply (solver/balance.h)
 ///                              ^──────────────────────────── a few times ────────────────────────┘
@@ -222,42 +222,42 @@ TM_HOST_DEVICE void add_contact(const view::StateView<Real>& state, const view::
   }
 }
 
-/// Adds the ties of a row of a free body.
+/// Adds the links of a row of a free body.
 template <class Real>
-TM_HOST_DEVICE void add_ties(const view::StateView<Real>& state, const view::TiesView<Real>& ties,
-                             const view::BalanceView<Real>& balance, const Vec3<Real>& center, std::uint32_t row,
-                             Balance& out) {
+TM_HOST_DEVICE void add_links(const view::StateView<Real>& state, const view::LinksView<Real>& links,
+                              const view::BalanceView<Real>& balance, const Vec3<Real>& center, std::uint32_t row,
+                              Balance& out) {
   using std::abs;
   const double h = static_cast<double>(view::step_size(state));
   const double factor = static_cast<double>(view::contact_factor(state));
   const auto arm_of = [&](std::uint32_t of_row) -> Vec3<Real> { return view::position(state, of_row) - center; };
-  for_each_tie(ties, row, [&](const view::Tie<Real>& tie, std::uint32_t role) {
+  for_each_link(links, row, [&](const view::Link<Real>& link, std::uint32_t role) {
     const Vec3<double> r = arm_of(row).template cast<double>();
     const auto made = [&](std::uint32_t of_row) { return view::change_made_to_end(state, of_row); };
     const Vec3<double> impulse =
-        force_after(tie, made).template cast<double>() * (h * static_cast<double>(tie.weight[role]));
+        force_after(link, made).template cast<double>() * (h * static_cast<double>(link.weight[role]));
     out.add_impulse(r, impulse);
     out.add_size(impulse);
-    // What the other rows of the tie that move with this body add to its motion.
+    // What the other rows of the link that move with this body add to its motion.
     Real weight = 0;
     Vec3<Real> arm = Vec3<Real>::Zero();
     for (std::uint32_t other = 0; other < 4; ++other) {
-      if (tie.weight[other] == 0 || balance.row_body[tie.rows[other]] != balance.row_body[row]) continue;
-      weight += tie.weight[other];
-      arm += arm_of(tie.rows[other]) * tie.weight[other];
+      if (link.weight[other] == 0 || balance.row_body[link.rows[other]] != balance.row_body[row]) continue;
+      weight += link.weight[other];
+      arm += arm_of(link.rows[other]) * link.weight[other];
     }
-    if (!(abs(weight) > Real(1e-3))) return;  // the tie is within the body
+    if (!(abs(weight) > Real(1e-3))) return;  // the link is within the body
     out.add_stiffness(
-        r, stiffness_of(tie).template cast<double>() * (factor * static_cast<double>(tie.weight[role] * weight)),
+        r, stiffness_of(link).template cast<double>() * (factor * static_cast<double>(link.weight[role] * weight)),
         (arm / weight).template cast<double>());
   });
 }
 
 /// Sums what is missing in the motion of each free body, over a patch.
-/// Reads displacement, velocity, start_velocity, contacts, friction, ties; writes sums.
+/// Reads displacement, velocity, start_velocity, contacts, friction, links; writes sums.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure_balance(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                                    const view::ContactView<Real>& contact, const view::TiesView<Real>& ties,
+                                    const view::ContactView<Real>& contact, const view::LinksView<Real>& links,
                                     const view::BalanceView<Real>& balance) {
   const view::Patch patch = view::patch_of(patches, team.patch());
   for (std::uint32_t entry = balance.patch_entries[patch.index]; entry < balance.patch_entries[patch.index + 1];
@@ -281,9 +281,9 @@ TM_HOST_DEVICE void measure_balance(Team& team, const view::PatchesView& patches
                       }
                     });
     }
-    if (ties.count() > 0) {
-      team.for_each(ties.patch_rows[patch.index], ties.patch_rows[patch.index + 1], [&](std::uint32_t i) {
-        if (balance.row_body[ties.rows[i]] == body) add_ties(state, ties, balance, center, ties.rows[i], own);
+    if (links.count() > 0) {
+      team.for_each(links.patch_rows[patch.index], links.patch_rows[patch.index + 1], [&](std::uint32_t i) {
+        if (balance.row_body[links.rows[i]] == body) add_links(state, links, balance, center, links.rows[i], own);
       });
     }
     view::BalanceSums& sums = own.sums();

@@ -3,8 +3,8 @@
 #include <cmath>
 
 #include "contact/friction.h"
+#include "contact/link.h"
 #include "contact/surface.h"
-#include "contact/tie.h"
 #include "view/scene.h"
 
 /// Contact of bodies with each other, and of a body with itself: nodes of one surface against triangles of another.
@@ -49,8 +49,8 @@ inline constexpr double kOnFace = 1e-4;
 /// Width of the rim in is_inside, as a part of the reach.
 inline constexpr double kRimInReaches = 0.1;
 
-/// Side on which a node was in the last step, as to its own body's surface: the 4th number of TiesView::slips while the
-/// node does not push, and Tie::across of a tie without stiffness. A node that was outside, or pushed, has 0 or a
+/// Side on which a node was in the last step, as to its own body's surface: the 4th number of LinksView::slips while
+/// the node does not push, and Link::across of a link without stiffness. A node that was outside, or pushed, has 0 or a
 /// force.
 struct NodeSide {
   /// Nothing faced it within the reach. It is in the open, or deep in the body.
@@ -72,19 +72,19 @@ TM_HOST_DEVICE Real distance_squared(const view::AxisBox<Real>& box, const Vec3<
 /// Puts the boxes around the present surface. Each patch takes a part of all boxes.
 template <class Team, class Real>
 TM_HOST_DEVICE void refit_boxes(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                                const view::ContactView<Real>& contact, const view::TiesView<Real>& ties) {
-  const std::uint32_t groups = ties.leaf_count / view::kGroupLeaves, boxes = ties.leaf_count + groups;
+                                const view::ContactView<Real>& contact, const view::LinksView<Real>& links) {
+  const std::uint32_t groups = links.leaf_count / view::kGroupLeaves, boxes = links.leaf_count + groups;
   const auto first_of = [&](std::uint32_t patch) {
     return static_cast<std::uint32_t>(std::uint64_t{boxes} * patch / patches.patch_count);
   };
   team.for_each(first_of(team.patch()), first_of(team.patch() + 1), [&](std::uint32_t b) {
-    const std::uint32_t leaves = b < ties.leaf_count ? 1 : view::kGroupLeaves;
-    const std::uint32_t leaf = b < ties.leaf_count ? b : (b - ties.leaf_count) * view::kGroupLeaves;
+    const std::uint32_t leaves = b < links.leaf_count ? 1 : view::kGroupLeaves;
+    const std::uint32_t leaf = b < links.leaf_count ? b : (b - links.leaf_count) * view::kGroupLeaves;
     constexpr Real kFar = Real(1e30);
     view::AxisBox<Real> box{{kFar, kFar, kFar}, {-kFar, -kFar, -kFar}};
     for (std::uint32_t i = leaf * view::kLeafTriangles; i < (leaf + leaves) * view::kLeafTriangles; ++i) {
-      if (ties.leaf_triangles[i] == view::kNoTriangle) continue;
-      const Corners<Real> corners = corners_of(state, contact, ties.leaf_triangles[i]);
+      if (links.leaf_triangles[i] == view::kNoTriangle) continue;
+      const Corners<Real> corners = corners_of(state, contact, links.leaf_triangles[i]);
       for (const auto& corner : corners.x) {
         for (int c = 0; c < 3; ++c) {
           box.least[c] = minimum(box.least[c], corner[c]);
@@ -92,7 +92,7 @@ TM_HOST_DEVICE void refit_boxes(const Team& team, const view::PatchesView& patch
         }
       }
     }
-    ties.boxes[b] = box;
+    links.boxes[b] = box;
   });
 }
 
@@ -156,14 +156,14 @@ struct NearestPoints {
 
 /// Calls visit(triangle) for the triangles of a side's surface, without those of boxes that skips(box) leaves out.
 template <class Real, class Skips, class Visit>
-TM_HOST_DEVICE void for_each_triangle(const view::TiesView<Real>& ties, const std::uint32_t* side_groups,
+TM_HOST_DEVICE void for_each_triangle(const view::LinksView<Real>& links, const std::uint32_t* side_groups,
                                       const Skips& skips, const Visit& visit) {
   for (std::uint32_t group = side_groups[0]; group < side_groups[1]; ++group) {
-    if (skips(ties.boxes[ties.leaf_count + group])) continue;
+    if (skips(links.boxes[links.leaf_count + group])) continue;
     for (std::uint32_t leaf = group * view::kGroupLeaves; leaf < (group + 1) * view::kGroupLeaves; ++leaf) {
-      if (skips(ties.boxes[leaf])) continue;
+      if (skips(links.boxes[leaf])) continue;
       for (std::uint32_t i = leaf * view::kLeafTriangles; i < (leaf + 1) * view::kLeafTriangles; ++i) {
-        if (ties.leaf_triangles[i] != view::kNoTriangle) visit(ties.leaf_triangles[i]);
+        if (links.leaf_triangles[i] != view::kNoTriangle) visit(links.leaf_triangles[i]);
       }
     }
   }
@@ -172,7 +172,7 @@ TM_HOST_DEVICE void for_each_triangle(const view::TiesView<Real>& ties, const st
 template <class Real>
 TM_HOST_DEVICE NearestPoints<Real> nearest_points(const view::StateView<Real>& state,
                                                   const view::ContactView<Real>& contact,
-                                                  const view::TiesView<Real>& ties, std::uint32_t vertex,
+                                                  const view::LinksView<Real>& links, std::uint32_t vertex,
                                                   const std::uint32_t* side_groups, Real reach) {
   const std::uint32_t row = contact.surface_rows[vertex];
   const Vec3<Real> x = view::position(state, row);
@@ -202,7 +202,7 @@ TM_HOST_DEVICE NearestPoints<Real> nearest_points(const view::StateView<Real>& s
     nearest.facing = point;
   };
   const auto is_farther = [&](const view::AxisBox<Real>& box) { return distance_squared(box, x) >= facing; };
-  for_each_triangle(ties, side_groups, is_farther, consider);
+  for_each_triangle(links, side_groups, is_farther, consider);
   return nearest;
 }
 
@@ -273,9 +273,9 @@ struct StepWay {
 ///   margin   depth up to which the node is not taken as inside [m]
 template <class Real>
 TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state,
-                                              const view::ContactView<Real>& contact, const view::TiesView<Real>& ties,
-                                              std::uint32_t vertex, const std::uint32_t* side_groups, Real margin,
-                                              Real reach) {
+                                              const view::ContactView<Real>& contact,
+                                              const view::LinksView<Real>& links, std::uint32_t vertex,
+                                              const std::uint32_t* side_groups, Real margin, Real reach) {
   SurfacePoint<Real> found;
   const std::uint32_t row = contact.surface_rows[vertex];
   const StepWay<Real> ways{state};
@@ -313,7 +313,7 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
   };
   const view::AxisBox<Real> near = ways.box_of(&row, 1, reach, 1);
   for_each_triangle(
-      ties, side_groups, [&](const view::AxisBox<Real>& box) { return !overlap(box, near); }, consider);
+      links, side_groups, [&](const view::AxisBox<Real>& box) { return !overlap(box, near); }, consider);
   // The way through is short beside a sharp edge, too, where both faces meet; there the edge has its own contact.
   const bool is_thin = out - 1 < 1 - first && normal_in.dot(normal_out) < -Real(kSmoothCosine);
   if (!(deepest > reach || is_thin)) found.triangle = view::kNoTriangle;
@@ -323,48 +323,48 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
 /// Returns the stretch of a contact's spring of friction at the velocities as they are stored: the one with which the
 /// step started, less the relative motion across n.
 template <class Real>
-TM_HOST_DEVICE Vec3<Real> contact_stretch(const view::StateView<Real>& state, const view::Tie<Real>& tie,
+TM_HOST_DEVICE Vec3<Real> contact_stretch(const view::StateView<Real>& state, const view::Link<Real>& link,
                                           const Real* slip) {
-  const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
-  const Vec3<Real> moved = relative(tie, kAllRows, [&](std::uint32_t row) { return view::motion_to_end(state, row); });
+  const Vec3<Real> n(link.normal[0], link.normal[1], link.normal[2]);
+  const Vec3<Real> moved = relative(link, kAllRows, [&](std::uint32_t row) { return view::motion_to_end(state, row); });
   const Vec3<Real> stretch = Vec3<Real>(slip[0], slip[1], slip[2]) - moved;
   return stretch - n * n.dot(stretch);
 }
 
-/// Adds friction to the tie of a contact: predicts whether it sticks or slides, as predict_friction does for tools.
+/// Adds friction to the link of a contact: predicts whether it sticks or slides, as predict_friction does for tools.
 template <class Real>
 TM_HOST_DEVICE void add_friction(const view::StateView<Real>& state, Real coefficient, const Real* slip,
-                                 view::Tie<Real>& tie) {
-  const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
+                                 view::Link<Real>& link) {
+  const Vec3<Real> n(link.normal[0], link.normal[1], link.normal[2]);
   const Vec3<Real> ahead =
-      relative(tie, kAllRows, [&](std::uint32_t row) { return view::change_ahead_to_end(state, row); });
-  const Vec3<Real> depth_force(tie.force[0], tie.force[1], tie.force[2]);
-  const Real predicted = n.dot(depth_force) - tie.stiffness * n.dot(ahead);
+      relative(link, kAllRows, [&](std::uint32_t row) { return view::change_ahead_to_end(state, row); });
+  const Vec3<Real> depth_force(link.force[0], link.force[1], link.force[2]);
+  const Real predicted = n.dot(depth_force) - link.stiffness * n.dot(ahead);
   const Real most = coefficient * (state.iterates == 0 ? slip[3] : predicted);
   if (!(most > 0)) return;
-  const Vec3<Real> stretch = contact_stretch(state, tie, slip);
-  tie.across = tie.stiffness * yield_factor(tie.stiffness, stretch, most);
-  // The force of a tie is counted from where the rows are now, the stretch to where they will be.
+  const Vec3<Real> stretch = contact_stretch(state, link, slip);
+  link.across = link.stiffness * yield_factor(link.stiffness, stretch, most);
+  // The force of a link is counted from where the rows are now, the stretch to where they will be.
   const Vec3<Real> now = stretch + (ahead - n * n.dot(ahead));
-  for (int c = 0; c < 3; ++c) tie.force[c] += tie.across * now[c];
+  for (int c = 0; c < 3; ++c) link.force[c] += link.across * now[c];
 }
 
-/// Returns the tie of a candidate in this step.
+/// Returns the link of a candidate in this step.
 template <class Real>
-TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& state,
-                                                const view::ContactView<Real>& contact,
-                                                const view::TiesView<Real>& ties, std::uint32_t candidate) {
+TM_HOST_DEVICE view::Link<Real> link_of_candidate(const view::StateView<Real>& state,
+                                                  const view::ContactView<Real>& contact,
+                                                  const view::LinksView<Real>& links, std::uint32_t candidate) {
   using std::sqrt;
-  const std::uint32_t vertex = ties.candidates[std::size_t{2} * candidate], row = contact.surface_rows[vertex];
-  const std::uint32_t side = ties.candidates[std::size_t{2} * candidate + 1];
-  const Real* numbers = ties.side_numbers + std::size_t{view::kSideNumbers} * side;
-  view::Tie<Real> tie{{row, row, row, row}, {1, 0, 0, 0}, {}, {}, 0, 0};
+  const std::uint32_t vertex = links.candidates[std::size_t{2} * candidate], row = contact.surface_rows[vertex];
+  const std::uint32_t side = links.candidates[std::size_t{2} * candidate + 1];
+  const Real* numbers = links.side_numbers + std::size_t{view::kSideNumbers} * side;
+  view::Link<Real> link{{row, row, row, row}, {1, 0, 0, 0}, {}, {}, 0, 0};
   const Real reach = numbers[view::kSideReach];
-  const std::uint32_t* side_groups = ties.side_groups + std::size_t{3} * side;
-  const NearestPoints<Real> nearest = nearest_points(state, contact, ties, vertex, side_groups, reach);
+  const std::uint32_t* side_groups = links.side_groups + std::size_t{3} * side;
+  const NearestPoints<Real> nearest = nearest_points(state, contact, links, vertex, side_groups, reach);
   SurfacePoint<Real> point = nearest.facing;
   const bool own = side_groups[2] != 0;
-  const Real before = ties.slips[std::size_t{4} * candidate + 3], begins = numbers[view::kSideDistance];
+  const Real before = links.slips[std::size_t{4} * candidate + 3], begins = numbers[view::kSideDistance];
   Real depth = 0;
   Vec3<Real> n = Vec3<Real>::Zero();
   if (point.triangle != view::kNoTriangle) {
@@ -372,8 +372,8 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& sta
     bool inside = is_inside(state, contact, nearest, face, reach);
     if (own) {
       if (before == Real(NodeSide::kFromWithin) || (before == Real(NodeSide::kUnseen) && inside)) {
-        tie.across = Real(NodeSide::kFromWithin);
-        return tie;
+        link.across = Real(NodeSide::kFromWithin);
+        return link;
       }
     } else if (before > 0) {
       inside = inside || remembers_side(face, point.way);
@@ -383,30 +383,30 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& sta
     const bool has_direction = !inside && distance > Real(1e-4) * reach;
     n = has_direction ? Vec3<Real>(point.way / distance) : face;
   } else if (own) {
-    tie.across = Real(NodeSide::kUnseen);
-    return tie;
+    link.across = Real(NodeSide::kUnseen);
+    return link;
   }
   if (!(depth > 0)) {
-    if (own) return tie;
-    point = passed_face(state, contact, ties, vertex, side_groups, begins, reach);
-    if (point.triangle == view::kNoTriangle) return tie;
+    if (own) return link;
+    point = passed_face(state, contact, links, vertex, side_groups, begins, reach);
+    if (point.triangle == view::kNoTriangle) return link;
     n = smooth_normal(state, contact, point.triangle, point.weights);
     depth = begins - n.dot(point.way);
   }
   const Real softer =
-      minimum(ties.candidate_modulus[candidate], contact.triangle_moduli[std::size_t{2} * point.triangle]);
-  tie.stiffness =
-      (numbers[view::kSidePenalty] + numbers[view::kSidePenaltyPerM] * softer) * ties.candidate_area[candidate];
+      minimum(links.candidate_modulus[candidate], contact.triangle_moduli[std::size_t{2} * point.triangle]);
+  link.stiffness =
+      (numbers[view::kSidePenalty] + numbers[view::kSidePenaltyPerM] * softer) * links.candidate_area[candidate];
   for (int c = 0; c < 3; ++c) {
-    tie.rows[1 + c] = contact.triangle_rows[std::size_t{3} * point.triangle + static_cast<std::size_t>(c)];
-    tie.weight[1 + c] = -point.weights[c];
-    tie.normal[c] = n[c];
-    tie.force[c] = tie.stiffness * depth * n[c];
+    link.rows[1 + c] = contact.triangle_rows[std::size_t{3} * point.triangle + static_cast<std::size_t>(c)];
+    link.weight[1 + c] = -point.weights[c];
+    link.normal[c] = n[c];
+    link.force[c] = link.stiffness * depth * n[c];
   }
   if (numbers[view::kSideFriction] > 0) {
-    add_friction(state, numbers[view::kSideFriction], ties.slips + std::size_t{4} * candidate, tie);
+    add_friction(state, numbers[view::kSideFriction], links.slips + std::size_t{4} * candidate, link);
   }
-  return tie;
+  return link;
 }
 
 /// Takes a contact's spring of friction to the end of the step, as end_contact does for tools.
@@ -417,24 +417,24 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& sta
 ///   slip, checkpoint   stretch and normal force of the contact; checkpoint: the same before the step, if it
 ///                      saves one; nullptr: the caller does
 template <class Real>
-TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, const view::Tie<Real>& tie, Real friction,
-                                         Real pressure, Real* slip, Real* checkpoint) {
+TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, const view::Link<Real>& link,
+                                         Real friction, Real pressure, Real* slip, Real* checkpoint) {
   if (checkpoint != nullptr && state.control->saves_checkpoint != 0) {
     for (std::size_t c = 0; c < 4; ++c) checkpoint[c] = slip[c];
   }
   Vec3<Real> next = Vec3<Real>::Zero();
   if (pressure > 0 && friction > 0) {
-    const Vec3<Real> stretch = contact_stretch(state, tie, slip);
-    next = stretch * yield_factor(tie.stiffness, stretch, friction * pressure);
+    const Vec3<Real> stretch = contact_stretch(state, link, slip);
+    next = stretch * yield_factor(link.stiffness, stretch, friction * pressure);
   }
   for (int c = 0; c < 3; ++c) slip[c] = next[c];
-  slip[3] = tie.stiffness > 0 ? maximum(pressure, Real(0)) : tie.across;
+  slip[3] = link.stiffness > 0 ? maximum(pressure, Real(0)) : link.across;
 }
 
 /// Returns the coefficient of friction of a side.
 template <class Real>
-TM_HOST_DEVICE Real friction_of(const view::TiesView<Real>& ties, std::uint32_t side) {
-  return ties.side_numbers[std::size_t{view::kSideNumbers} * side + view::kSideFriction];
+TM_HOST_DEVICE Real friction_of(const view::LinksView<Real>& links, std::uint32_t side) {
+  return links.side_numbers[std::size_t{view::kSideNumbers} * side + view::kSideFriction];
 }
 
 }  // namespace tensormass::contact

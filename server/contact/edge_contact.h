@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "contact/body_contact.h"
-#include "contact/tie.h"
+#include "contact/link.h"
 #include "view/scene.h"
 
 /// Contact of a sharp edge of one body with a sharp edge of another. Two ridges that cross touch between their nodes,
@@ -19,7 +19,7 @@
 ///
 ///   k = penalty · √(A A') · share       A, A': a third of the triangles at each edge;  share: 0 to 1, below
 ///
-/// 1. Only edges at which the surface turns by more than 45° and that are convex count (model/ties.cpp). A
+/// 1. Only edges at which the surface turns by more than 45° and that are convex count (model/links.cpp). A
 ///    smooth surface has none, and its scene pays nothing.
 /// 2. Each pair counts once: the edges of the body with the finer mesh search those of the other, in the boxes that
 ///    nodes search. An edge touches at most kEdgeSlots others.
@@ -173,15 +173,15 @@ class RememberedPairs {
 template <class Real>
 class EdgeSearch {
  public:
-  TM_HOST_DEVICE EdgeSearch(const view::StateView<Real>& state, const view::TiesView<Real>& ties,
+  TM_HOST_DEVICE EdgeSearch(const view::StateView<Real>& state, const view::LinksView<Real>& links,
                             std::uint32_t candidate)
       : state_(state),
         ways_{state},
-        ties_(ties),
-        edges_(ties.edges),
+        links_(links),
+        edges_(links.edges),
         edge_(edges_.candidates[std::size_t{2} * candidate]),
-        groups_(ties.side_groups + std::size_t{3} * edges_.candidates[std::size_t{2} * candidate + 1]),
-        side_(ties.side_numbers + std::size_t{view::kSideNumbers} * edges_.candidates[std::size_t{2} * candidate + 1]),
+        groups_(links.side_groups + std::size_t{3} * edges_.candidates[std::size_t{2} * candidate + 1]),
+        side_(links.side_numbers + std::size_t{view::kSideNumbers} * edges_.candidates[std::size_t{2} * candidate + 1]),
         before_(edges_, candidate),
         fade_(Real(kEndFadeInReaches) * side_[view::kSideReach]) {}
 
@@ -192,7 +192,7 @@ class EdgeSearch {
     }
     const view::AxisBox<Real> near = ways_.box_of(edges_.rows + std::size_t{4} * edge_, 2, side_[view::kSideReach]);
     const auto is_elsewhere = [&](const view::AxisBox<Real>& box) { return !overlap(box, near); };
-    for_each_triangle(ties_, groups_, is_elsewhere, [&](std::uint32_t triangle) {
+    for_each_triangle(links_, groups_, is_elsewhere, [&](std::uint32_t triangle) {
       const std::uint32_t* edges = edges_.triangle_edges + std::size_t{3} * triangle;
       for (int c = 0; c < 3; ++c) {
         if (edges[c] != view::kNoEntry && !before_.has(edges[c])) consider(edges[c], false);
@@ -255,7 +255,7 @@ class EdgeSearch {
 
   const view::StateView<Real>& state_;
   const StepWay<Real> ways_;
-  const view::TiesView<Real>& ties_;
+  const view::LinksView<Real>& links_;
   const view::EdgesView<Real>& edges_;
   std::uint32_t edge_;
   const std::uint32_t* groups_;
@@ -265,66 +265,66 @@ class EdgeSearch {
   EdgeTouches<Real> touches_{};
 };
 
-/// Returns the tie of a slot of an edge. Its stiffness is zero if the slot has no contact.
+/// Returns the link of a slot of an edge. Its stiffness is zero if the slot has no contact.
 template <class Real>
-TM_HOST_DEVICE view::Tie<Real> tie_of_touch(const view::StateView<Real>& state, const view::TiesView<Real>& ties,
-                                            std::uint32_t candidate, const EdgeTouches<Real>& touches,
-                                            std::uint32_t slot) {
+TM_HOST_DEVICE view::Link<Real> link_of_touch(const view::StateView<Real>& state, const view::LinksView<Real>& links,
+                                              std::uint32_t candidate, const EdgeTouches<Real>& touches,
+                                              std::uint32_t slot) {
   using std::sqrt;
-  const view::EdgesView<Real>& edges = ties.edges;
+  const view::EdgesView<Real>& edges = links.edges;
   const std::uint32_t edge = edges.candidates[std::size_t{2} * candidate], other = touches.other[slot];
   const std::uint32_t side = edges.candidates[std::size_t{2} * candidate + 1];
   const std::uint32_t* rows = edges.rows + std::size_t{4} * edge;
-  view::Tie<Real> tie{{rows[0], rows[1], rows[0], rows[0]}, {0, 0, 0, 0}, {}, {}, 0, 0};
+  view::Link<Real> link{{rows[0], rows[1], rows[0], rows[0]}, {0, 0, 0, 0}, {}, {}, 0, 0};
   const Crossing<Real>& at = touches.crossing[slot];
-  if (!(at.share > 0)) return tie;
+  if (!(at.share > 0)) return link;
   const Real *own = edges.numbers + std::size_t{view::kEdgeNumbers} * edge,
              *others = edges.numbers + std::size_t{view::kEdgeNumbers} * other;
-  const Real* numbers = ties.side_numbers + std::size_t{view::kSideNumbers} * side;
+  const Real* numbers = links.side_numbers + std::size_t{view::kSideNumbers} * side;
   const Real softer = minimum(own[view::kEdgeModulus], others[view::kEdgeModulus]);
-  tie.stiffness = (numbers[view::kSidePenalty] + numbers[view::kSidePenaltyPerM] * softer) *
-                  sqrt(own[view::kEdgeArea] * others[view::kEdgeArea]) * at.share;
-  tie.rows[2] = edges.rows[std::size_t{4} * other];
-  tie.rows[3] = edges.rows[std::size_t{4} * other + 1];
+  link.stiffness = (numbers[view::kSidePenalty] + numbers[view::kSidePenaltyPerM] * softer) *
+                   sqrt(own[view::kEdgeArea] * others[view::kEdgeArea]) * at.share;
+  link.rows[2] = edges.rows[std::size_t{4} * other];
+  link.rows[3] = edges.rows[std::size_t{4} * other + 1];
   const Real weights[4] = {1 - at.s, at.s, at.t - 1, -at.t};
-  for (int r = 0; r < 4; ++r) tie.weight[r] = weights[r];
+  for (int r = 0; r < 4; ++r) link.weight[r] = weights[r];
   for (int c = 0; c < 3; ++c) {
-    tie.normal[c] = at.normal[c];
-    tie.force[c] = tie.stiffness * (numbers[view::kSideDistance] - at.gap) * at.normal[c];
+    link.normal[c] = at.normal[c];
+    link.force[c] = link.stiffness * (numbers[view::kSideDistance] - at.gap) * at.normal[c];
   }
   if (numbers[view::kSideFriction] > 0) {
     const RememberedPairs<Real> pairs(edges, candidate);
-    add_friction(state, numbers[view::kSideFriction], pairs.of(other), tie);
+    add_friction(state, numbers[view::kSideFriction], pairs.of(other), link);
   }
-  return tie;
+  return link;
 }
 
 /// Ends the step of an edge's contacts: takes their springs of friction to its end, and remembers which edges push.
 /// Returns the number of those.
 ///
-///   change_made(row) -> Vec3   motion of a row since the ties were made
+///   change_made(row) -> Vec3   motion of a row since the links were made
 ///   count_force(before, after) is called for each pair with its normal forces before and after the step [N]
 ///   deepest                    grows to the depth of the deepest [m]
 template <class Real, class ChangeMade, class CountForce>
-TM_HOST_DEVICE Real end_edge_contacts(const view::StateView<Real>& state, const view::TiesView<Real>& ties,
+TM_HOST_DEVICE Real end_edge_contacts(const view::StateView<Real>& state, const view::LinksView<Real>& links,
                                       std::uint32_t candidate, const ChangeMade& change_made,
                                       const CountForce& count_force, Real& deepest) {
-  const view::EdgesView<Real>& edges = ties.edges;
+  const view::EdgesView<Real>& edges = links.edges;
   const RememberedPairs<Real> before(edges, candidate);
-  const Real friction = friction_of(ties, edges.candidates[std::size_t{2} * candidate + 1]);
+  const Real friction = friction_of(links, edges.candidates[std::size_t{2} * candidate + 1]);
   Real count = 0;
   for (std::uint32_t slot = 0; slot < view::kEdgeSlots; ++slot) {
     const std::uint32_t place = candidate * view::kEdgeSlots + slot, other = edges.partners[place];
-    const view::Tie<Real>& tie = ties.ties[ties.first_edge_tie() + place];
-    const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
-    const Real pressure = tie.stiffness > 0 ? n.dot(force_after(tie, change_made)) : Real(0);
+    const view::Link<Real>& link = links.links[links.first_edge_link() + place];
+    const Vec3<Real> n(link.normal[0], link.normal[1], link.normal[2]);
+    const Real pressure = link.stiffness > 0 ? n.dot(force_after(link, change_made)) : Real(0);
     Real after[view::kEdgeMemory] = {};
     count_force(before.of(other)[view::kEdgeForce], maximum(pressure, Real(0)));  // kNoEntry + 1 is a free slot, 0
     if (pressure > 0) {
       count += 1;
-      deepest = maximum(deepest, pressure / tie.stiffness);
+      deepest = maximum(deepest, pressure / link.stiffness);
       for (std::size_t c = 0; c < 4; ++c) after[c] = before.of(other)[c];
-      end_contact_friction(state, tie, friction, pressure, after, static_cast<Real*>(nullptr));
+      end_contact_friction(state, link, friction, pressure, after, static_cast<Real*>(nullptr));
       after[view::kEdgePartner] = static_cast<Real>(other + 1);
     }
     Real* memory = edges.memory + std::size_t{view::kEdgeMemory} * place;

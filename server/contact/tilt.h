@@ -28,11 +28,11 @@
 ///    under a tool that holds still, surface nodes of soft tissue moved to and fro by a millimetre for ever.
 /// 4. A rotation of the triangle about c changes nothing: θ = −T y / L. So these forces have no moment about c.
 /// 5. On a flat tool p reaches a corner of the triangle after very little tilt, and then this stiffness ends. If L is
-///    more than kMostSizes times the triangle's size, the second term therefore falls with 1 / L. In full it would hold
+///    more than kMaxSizes times the triangle's size, the second term therefore falls with 1 / L. In full it would hold
 ///    every tilt that a triangle on a plane has, and tissue would creep to its equilibrium.
 namespace tensormass::contact {
 
-inline constexpr int kMostSizes = 16;
+inline constexpr int kMaxSizes = 16;
 
 template <class Real>
 class Tilt {
@@ -66,7 +66,7 @@ class Tilt {
         free_ = edges[c] * edges[c].transpose() / squared;
       }
     }
-    const Real longest = kMostSizes * size;
+    const Real longest = kMaxSizes * size;
     stiffness_ =
         touch.stiffness * maximum(touch.depth_m, Real(0)) * minimum(touch.lever_m, longest * longest * inverse_lever_);
   }

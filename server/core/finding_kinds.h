@@ -40,7 +40,7 @@ inline constexpr double kSliverDihedralDeg = 5;
 /// Thickness of a tool's surface, in cubes of the grid that samples its distance.
 inline constexpr double kThinToolCubes = 3;
 /// Fraction of the last solves, or steps.
-inline constexpr double kMost = 0.5;
+inline constexpr double kMax = 0.5;
 
 }  // namespace thresholds
 
@@ -103,7 +103,7 @@ inline constexpr std::array<FindingKind, 24> kFindingKinds{{
      "the mesh may fold in zigzag"},
     {detail::kLooseBody, "loose_body", true, "bodies without fixed nodes at equilibrium", "", detail::kAbove, 0, ""},
     {detail::kSolveAboveTolerance, "solve_above_tolerance", false,
-     "part of the last solves (at most 64) that end above `cg_tolerance`", "", detail::kAbove, thresholds::kMost,
+     "part of the last solves (at most 64) that end above `cg_tolerance`", "", detail::kAbove, thresholds::kMax,
      "most of them"},
     {detail::kUnconvergedStep, "unconverged_step", false, "residual of Newton's method in the last step", "",
      detail::kAbove, detail::kNoLimit, "`newton_tolerance`"},
@@ -115,7 +115,7 @@ inline constexpr std::array<FindingKind, 24> kFindingKinds{{
      "1/√3 for St-Venant-Kirchhoff"},
     {detail::kInvertedElements, "inverted_elements", false, "smallest det F of an element", "", detail::kBelow, 0, ""},
     {detail::kRepeatedSteps, "repeated_steps", false, "part of the last 64 steps that the guard repeats", "",
-     detail::kAbove, thresholds::kMost, "most of them"},
+     detail::kAbove, thresholds::kMax, "most of them"},
     {detail::kLoweredIterations, "lowered_iterations", false, "limit of iterations that the budget leaves", "",
      detail::kBelow, detail::kNoLimit, "`cg_max_iterations`"},
     {detail::kBudgetExceeded, "budget_exceeded", false, "time of a step", "s", detail::kAbove, detail::kNoLimit,

@@ -29,15 +29,15 @@ class Journal {
   void note(Kind kind, std::string_view event, const Refused& refused) {
     const auto suppressed = limiters_[static_cast<std::size_t>(kind)].admit();
     if (!suppressed) return;
-    log::warn(event, {{"who", refused.who.substr(0, kMostText)},
-                      {"what", refused.what.substr(0, kMostText)},
-                      {"scene", refused.scene.substr(0, kMostText)},
-                      {"reason", refused.reason.substr(0, kMostReason)},
+    log::warn(event, {{"who", refused.who.substr(0, kMaxText)},
+                      {"what", refused.what.substr(0, kMaxText)},
+                      {"scene", refused.scene.substr(0, kMaxText)},
+                      {"reason", refused.reason.substr(0, kMaxReason)},
                       {"suppressed", *suppressed}});
   }
 
  private:
-  static constexpr std::size_t kMostText = 200, kMostReason = 1000;
+  static constexpr std::size_t kMaxText = 200, kMaxReason = 1000;
   std::array<log::Limiter, static_cast<std::size_t>(Kind::kZenoh) + 1> limiters_;
 };
 

@@ -21,8 +21,8 @@ namespace {
 
 constexpr const char* kOff = "off";
 /// Bounds of settings that are beyond every machine: 2^60 bytes, and 30 years.
-constexpr std::uint64_t kMostMib = std::uint64_t{1} << 40;
-constexpr double kMostSeconds = 1e9;
+constexpr std::uint64_t kMaxMib = std::uint64_t{1} << 40;
+constexpr double kMaxSeconds = 1e9;
 
 std::string host_of(std::string_view endpoint) {
   for (const std::string_view scheme : {"tcp://", "tcp/"}) {
@@ -77,8 +77,8 @@ std::string check_metrics(const std::string& text) {
 /// CLI::Range takes NaN.
 std::string check_seconds(const std::string& text) {
   double seconds = 0;
-  if (CLI::detail::lexical_cast(text, seconds) && seconds > 0 && seconds <= kMostSeconds) return {};
-  return fmt::format("'{}' is not a number of seconds above 0, at most {:g}", text, kMostSeconds);
+  if (CLI::detail::lexical_cast(text, seconds) && seconds > 0 && seconds <= kMaxSeconds) return {};
+  return fmt::format("'{}' is not a number of seconds above 0, at most {:g}", text, kMaxSeconds);
 }
 
 std::string check_server_name(const std::string& name) {
@@ -163,10 +163,10 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
       ->check(CLI::Range(1u, limits::kMaxGpuScenes));
   app.add_option("--max-scene-mib", config.max_scene_mib,
                  "Memory that one load may need, estimated from its counts; 0: as --max-memory-mib")
-      ->check(CLI::Range(std::uint64_t{0}, kMostMib));
+      ->check(CLI::Range(std::uint64_t{0}, kMaxMib));
   app.add_option("--max-memory-mib", config.max_memory_mib,
                  "Memory of the daemon above which loads are refused; 0: 80 % of what the container or machine has")
-      ->check(CLI::Range(std::uint64_t{0}, kMostMib));
+      ->check(CLI::Range(std::uint64_t{0}, kMaxMib));
   app.add_option("--max-message-mib", config.max_message_mib,
                  "Memory of messages that have not arrived as a whole, and so of the largest one, as a scene with its "
                  "mesh")
@@ -202,7 +202,7 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
                  "Folder in which scenes and their newest snapshots are kept. A daemon that starts with it brings them "
                  "back");
   app.add_option("--max-state-mib", config.max_state_mib, "Disk that --state may take; more is not written")
-      ->check(CLI::Range(std::uint64_t{1}, kMostMib));
+      ->check(CLI::Range(std::uint64_t{1}, kMaxMib));
   app.add_option("--log-level", log_level, "Lowest level that is logged")
       ->check(CLI::IsMember({"debug", "info", "warning", "error"}));
   app.add_option("--log-format", log_format, "json: one object a line")->check(CLI::IsMember({"text", "json"}));

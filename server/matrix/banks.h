@@ -24,7 +24,7 @@ using namespace view;
 
 /// Widest slice [columns] whose neighbours are ordered by bank or tile. Wider slices keep their neighbours ascending:
 /// they do not fit into shared memory anyway, and the order takes time with the square of the width.
-inline constexpr std::uint32_t kMostSpreadColumns = 64;
+inline constexpr std::uint32_t kMaxSpreadColumns = 64;
 
 /// Returns a new place for each of the `column_count` local numbers, within the same aligned group of eight. Each group
 /// of eight rows then reads all banks about equally often. Numbers that no row names keep their place.

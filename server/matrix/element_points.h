@@ -212,8 +212,8 @@ template <class Real>
 TM_HOST_DEVICE physics::Stiffness stiffness_kind(const view::StateView<Real>& state,
                                                  const view::NewtonView<Real>& newton) {
   const std::uint32_t projects =
-      newton.control == nullptr ? state.control->projects_stiffness : newton.control->positive_stiffness;
-  return projects != 0 ? physics::Stiffness::kPositive : physics::Stiffness::kConsistent;
+      newton.control == nullptr ? state.control->projects_stiffness : newton.control->projects_stiffness;
+  return projects != 0 ? physics::Stiffness::kProjected : physics::Stiffness::kConsistent;
 }
 
 /// Computes a point's viscous stress, if its group has Prony terms.

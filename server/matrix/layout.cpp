@@ -53,7 +53,7 @@ std::uint32_t Layout::slot(std::uint32_t row, std::uint32_t other) const {
   const std::uint32_t height = slice_rows(), slice = row / height;
   std::uint32_t low = slice_begin[slice], high = slice_begin[slice + 1];
   const std::uint32_t lane = row % height;
-  if (storage != Storage::kEdges && high - low <= kMostSpreadColumns) {  // ordered by bank or tile, not ascending
+  if (storage != Storage::kEdges && high - low <= kMaxSpreadColumns) {  // ordered by bank or tile, not ascending
     while (low < high && neighbour_rows[low * height + lane] != other) ++low;
     TM_ASSERT(low < high, "the matrix couples the two nodes of every edge of an element");
     return low * height + lane;
@@ -169,7 +169,7 @@ void check_slots(const Layout& layout, std::uint32_t patch) {
     if (layout.storage == Storage::kEdges) {
       check_order(layout, begin_column, layout.slice_halo[slice]);
       check_order(layout, layout.slice_halo[slice], end_column);
-    } else if (end_column - begin_column > kMostSpreadColumns) {
+    } else if (end_column - begin_column > kMaxSpreadColumns) {
       check_order(layout, begin_column, end_column);
     }
     for (std::uint32_t j = begin_column; layout.storage == Storage::kTiles && j < end_column; ++j) {
@@ -205,7 +205,7 @@ void check_layout(const Layout& layout) {
   }
   if (tiles) {
     TM_ASSERT(layout.tile_rows > 0 && layout.tile_rows % kSliceRows == 0, "tiles consist of slices");
-    TM_ASSERT(layout.tile_rows <= kMostTileRows, "a warp has room for the sums of a tile");
+    TM_ASSERT(layout.tile_rows <= kMaxTileRows, "a warp has room for the sums of a tile");
     check_cuts(layout, layout.slice_read);
     TM_ASSERT(layout.used_twice.size() == layout.columns.size() / kSliceRows, "each column has a word of bits");
   } else {

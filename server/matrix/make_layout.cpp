@@ -112,7 +112,7 @@ void order_tiles(const Layout& layout, PatchSlots& patch) {
     const auto widths =
         std::span<const std::uint32_t>(patch.widths).subspan(first, std::min(tile_slices, slices - first));
     const std::size_t columns = std::accumulate(widths.begin(), widths.end(), std::size_t{0});
-    if (*std::max_element(widths.begin(), widths.end()) <= kMostSpreadColumns) {
+    if (*std::max_element(widths.begin(), widths.end()) <= kMaxSpreadColumns) {
       const auto slots = [&](std::vector<std::uint32_t>& items) {
         return std::span(items).subspan(column * kSliceRows, columns * kSliceRows);
       };
@@ -235,7 +235,7 @@ PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const
     const std::size_t begin_of_slice = out.columns.size();
     out.inner_widths.push_back(add(first, middle));
     out.widths.push_back(out.inner_widths.back() + add(middle, last));
-    if (layout.storage == Storage::kRows && out.widths.back() <= kMostSpreadColumns) {
+    if (layout.storage == Storage::kRows && out.widths.back() <= kMaxSpreadColumns) {
       std::array<std::uint32_t, kSliceRows> ends{};
       for (std::uint32_t i = 0; i < kSliceRows; ++i) ends[i] = offsets[slice + i + 1] - offsets[slice + i];
       order_by_bank(std::span(out.columns).subspan(begin_of_slice),

@@ -66,7 +66,7 @@ struct PackedBlock {
     float largest = 0;
     for (int c = 0; c < 9; ++c) largest = maximum(largest, abs(block[c]));
     // R = 2^(1 − halvings)
-    const int halvings = minimum(maximum(-detail::exponent_of(largest), 0), kMostHalvings);
+    const int halvings = minimum(maximum(-detail::exponent_of(largest), 0), kMaxHalvings);
     const float steps = detail::power_of_two(20 - 1 + halvings);  // 1 in multiples of 2⁻²⁰ R
     PackedBlock packed;
     for (int pair = 0; pair < 3; ++pair) {
@@ -100,7 +100,7 @@ struct PackedBlock {
 
  private:
   static constexpr std::uint32_t kMask = (1u << 21) - 1, kZero = 1u << 20;
-  static constexpr int kMostHalvings = 7;
+  static constexpr int kMaxHalvings = 7;
 };
 
 /// The upper triangle of a symmetric 3×3 matrix.
@@ -136,7 +136,7 @@ struct PackedDiagonal {
     const float numbers[6] = {sum.xx, sum.xy, sum.xz, sum.yy, sum.yz, sum.zz};
     float largest = 0;
     for (const float number : numbers) largest = maximum(largest, abs(number));
-    const int exponent = minimum(maximum(detail::exponent_of(largest) + 1 - kBits + 1 - kLeast, 0), kMostDoublings);
+    const int exponent = minimum(maximum(detail::exponent_of(largest) + 1 - kBits + 1 - kLeast, 0), kMaxDoublings);
     const float steps = detail::power_of_two(-kLeast - exponent);
     PackedDiagonal packed{};
     for (int c = 0; c < 6; ++c) {
@@ -157,7 +157,7 @@ struct PackedDiagonal {
   }
 
  private:
-  static constexpr int kBits = 10, kMask = (1 << kBits) - 1, kLeast = -40, kMostDoublings = 15;
+  static constexpr int kBits = 10, kMask = (1 << kBits) - 1, kLeast = -40, kMaxDoublings = 15;
 };
 
 }  // namespace tensormass::matrix

@@ -235,7 +235,7 @@ TM_HOST_DEVICE void assemble_row(const view::PatchesView& patches, const view::S
           }
           ahead[k] = point_at(ends ? next[k] : now[k], ends ? 0 : q + 1);
         }
-        if (kind == physics::Stiffness::kPositive) {
+        if (kind == physics::Stiffness::kProjected) {
           TM_UNROLL_ALL
           for (std::uint32_t k = 0; k < kAtOnce; ++k) Law::project_to_psd(points[k]);
         }

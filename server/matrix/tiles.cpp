@@ -318,7 +318,7 @@ class TileOrder {
 
 std::uint32_t rows_of_tiles(std::uint32_t most_rows) {
   TM_ASSERT(most_rows > 0, "the largest patch has rows");
-  const std::uint32_t rounds = (most_rows - 1) / (kTilesAtOnce * kMostTileRows) + 1;
+  const std::uint32_t rounds = (most_rows - 1) / (kTilesAtOnce * kMaxTileRows) + 1;
   const std::uint32_t tiles = rounds * kTilesAtOnce;
   return ((most_rows - 1) / tiles / kSliceRows + 1) * kSliceRows;
 }

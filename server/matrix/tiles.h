@@ -32,7 +32,7 @@ using namespace view;
 /// Warps of a patch: as many tiles are multiplied at once.
 inline constexpr std::uint32_t kTilesAtOnce = 16;
 /// Most rows of a tile: a warp has room for the sums of so many in shared memory.
-inline constexpr std::uint32_t kMostTileRows = 256;
+inline constexpr std::uint32_t kMaxTileRows = 256;
 
 /// Returns the rows of a tile where the largest patch has `most_rows` ≥ 1: each warp gets about as many, and the result
 /// is a multiple of kSliceRows.

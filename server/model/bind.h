@@ -46,7 +46,7 @@ struct StepExchange {
   view::PatchDiagnostics<Real>* diagnostics;
   Real* min_det_f;
   view::ToolLoad<Real>* tool_loads;
-  view::TieReport<Real>* tie_reports;
+  view::LinkReport<Real>* link_reports;
   view::BalanceReport<Real>* balance_reports;
 };
 
@@ -81,7 +81,7 @@ StepExchange<Real> make_exchange(const Model& m, Arena& arena) {
   e.diagnostics = arena.template zeros<view::PatchDiagnostics<Real>>("diagnostics", groups * patches);
   e.min_det_f = arena.template zeros<Real>("volume check", m.checks_volume() ? groups * patches : 0);
   e.tool_loads = arena.template zeros<view::ToolLoad<Real>>("tool loads", tools * patches);
-  e.tie_reports = arena.template zeros<view::TieReport<Real>>("tie reports", m.ties.count() > 0 ? patches : 0);
+  e.link_reports = arena.template zeros<view::LinkReport<Real>>("link reports", m.links.count() > 0 ? patches : 0);
   e.balance_reports = arena.template zeros<view::BalanceReport<Real>>("balance reports", m.free_bodies.count());
   return e;
 }
@@ -118,7 +118,7 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.guard.diagnostics = exchange.diagnostics;
   s.guard.min_det_f = exchange.min_det_f;
   s.contact.tool_loads = exchange.tool_loads;
-  s.ties.reports = exchange.tie_reports;
+  s.links.reports = exchange.link_reports;
   s.balance.reports = exchange.balance_reports;
   s.solve.cg_tolerance = static_cast<Real>(m.cg_tolerance);
   s.state.size_m = static_cast<Real>(m.size_m);
@@ -224,46 +224,46 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.contact.slips = arena.template zeros<Real>("friction slips", slips);
   s.contact.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips", slips);
 
-  const Ties& ties = m.ties;
-  s.ties.candidate_count = ties.candidate_count();
-  s.ties.spring_count = ties.spring_count();
-  s.ties.leaf_count = ties.leaf_count();
-  s.ties.patch_rows = arena.template constant<uint32_t>("tied rows of patches", ties.patch_rows);
-  s.ties.rows = arena.template constant<uint32_t>("tied rows", ties.rows);
-  s.ties.row_place = arena.template constant<uint32_t>("places of tied rows", ties.row_place);
-  s.ties.leaf_triangles = arena.template constant<uint32_t>("triangles in boxes", ties.leaf_triangles);
-  s.ties.boxes =
-      arena.template zeros<view::AxisBox<Real>>("boxes", ties.leaf_count() + ties.leaf_count() / view::kGroupLeaves);
-  s.ties.patch_candidates = arena.template constant<uint32_t>("contact candidates of patches", ties.patch_candidates);
-  s.ties.candidates = arena.template constant<uint32_t>("contact candidates", ties.candidates);
-  s.ties.candidate_area = arena.template constant<Real>("areas of contact candidates", ties.candidate_area);
-  s.ties.candidate_modulus = arena.template constant<Real>("moduli of contact candidates", ties.candidate_modulus);
-  s.ties.side_groups = arena.template constant<uint32_t>("boxes of bodies", ties.side_groups);
-  s.ties.side_numbers = arena.template constant<Real>("contacts of bodies", ties.side_numbers);
-  const std::size_t edge_slots = ties.edge_slot_count(), edges_from = 4 * std::size_t{ties.candidate_count()};
-  const std::size_t tie_slips = only_if(ties.contacts_remember(), edges_from + view::kEdgeMemory * edge_slots);
-  s.ties.slips = arena.template zeros<Real>("friction slips of bodies", tie_slips);
-  s.ties.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips of bodies", tie_slips);
-  s.ties.edges.candidate_count = ties.edge_candidate_count();
-  s.ties.edges.rows = arena.template constant<uint32_t>("sharp edges", ties.edge_rows);
-  s.ties.edges.numbers = arena.template constant<Real>("areas of sharp edges", ties.edge_numbers);
-  s.ties.edges.triangle_edges = arena.template constant<uint32_t>("sharp edges of triangles", ties.triangle_edges);
-  s.ties.edges.patch_candidates =
-      arena.template constant<uint32_t>("edge candidates of patches", ties.patch_edge_candidates);
-  s.ties.edges.candidates = arena.template constant<uint32_t>("edge candidates", ties.edge_candidates);
-  s.ties.edges.partners = arena.template zeros<uint32_t>("partners of edges", edge_slots);
+  const Links& links = m.links;
+  s.links.candidate_count = links.candidate_count();
+  s.links.spring_count = links.spring_count();
+  s.links.leaf_count = links.leaf_count();
+  s.links.patch_rows = arena.template constant<uint32_t>("linked rows of patches", links.patch_rows);
+  s.links.rows = arena.template constant<uint32_t>("linked rows", links.rows);
+  s.links.row_place = arena.template constant<uint32_t>("places of linked rows", links.row_place);
+  s.links.leaf_triangles = arena.template constant<uint32_t>("triangles in boxes", links.leaf_triangles);
+  s.links.boxes =
+      arena.template zeros<view::AxisBox<Real>>("boxes", links.leaf_count() + links.leaf_count() / view::kGroupLeaves);
+  s.links.patch_candidates = arena.template constant<uint32_t>("contact candidates of patches", links.patch_candidates);
+  s.links.candidates = arena.template constant<uint32_t>("contact candidates", links.candidates);
+  s.links.candidate_area = arena.template constant<Real>("areas of contact candidates", links.candidate_area);
+  s.links.candidate_modulus = arena.template constant<Real>("moduli of contact candidates", links.candidate_modulus);
+  s.links.side_groups = arena.template constant<uint32_t>("boxes of bodies", links.side_groups);
+  s.links.side_numbers = arena.template constant<Real>("contacts of bodies", links.side_numbers);
+  const std::size_t edge_slots = links.edge_slot_count(), edges_from = 4 * std::size_t{links.candidate_count()};
+  const std::size_t link_slips = only_if(links.contacts_remember(), edges_from + view::kEdgeMemory * edge_slots);
+  s.links.slips = arena.template zeros<Real>("friction slips of bodies", link_slips);
+  s.links.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips of bodies", link_slips);
+  s.links.edges.candidate_count = links.edge_candidate_count();
+  s.links.edges.rows = arena.template constant<uint32_t>("sharp edges", links.edge_rows);
+  s.links.edges.numbers = arena.template constant<Real>("areas of sharp edges", links.edge_numbers);
+  s.links.edges.triangle_edges = arena.template constant<uint32_t>("sharp edges of triangles", links.triangle_edges);
+  s.links.edges.patch_candidates =
+      arena.template constant<uint32_t>("edge candidates of patches", links.patch_edge_candidates);
+  s.links.edges.candidates = arena.template constant<uint32_t>("edge candidates", links.edge_candidates);
+  s.links.edges.partners = arena.template zeros<uint32_t>("partners of edges", edge_slots);
   if (edge_slots > 0) {
-    s.ties.edges.memory = s.ties.slips + edges_from;
-    s.ties.edges.checkpoint_memory = s.ties.checkpoint_slips + edges_from;
+    s.links.edges.memory = s.links.slips + edges_from;
+    s.links.edges.checkpoint_memory = s.links.checkpoint_slips + edges_from;
   }
-  s.ties.patch_springs = arena.template constant<uint32_t>("springs of patches", ties.patch_springs);
-  s.ties.spring_rows = arena.template constant<uint32_t>("springs", ties.spring_rows);
-  s.ties.spring_numbers = arena.template constant<Real>("stiffness of springs", ties.spring_numbers);
-  s.ties.broken = arena.template zeros<Real>("broken springs", ties.spring_count());
-  s.ties.checkpoint_broken = arena.template zeros<Real>("checkpoint broken springs", ties.spring_count());
-  s.ties.ties = arena.template zeros<view::Tie<Real>>("ties", ties.count());
-  s.ties.head = arena.template zeros<uint32_t>("lists of ties", only_if(ties.count() > 0, rows));
-  s.ties.next = arena.template zeros<uint32_t>("entries of lists of ties", 4 * std::size_t{ties.count()});
+  s.links.patch_springs = arena.template constant<uint32_t>("springs of patches", links.patch_springs);
+  s.links.spring_rows = arena.template constant<uint32_t>("springs", links.spring_rows);
+  s.links.spring_numbers = arena.template constant<Real>("stiffness of springs", links.spring_numbers);
+  s.links.broken = arena.template zeros<Real>("broken springs", links.spring_count());
+  s.links.checkpoint_broken = arena.template zeros<Real>("checkpoint broken springs", links.spring_count());
+  s.links.links = arena.template zeros<view::Link<Real>>("links", links.count());
+  s.links.head = arena.template zeros<uint32_t>("lists of links", only_if(links.count() > 0, rows));
+  s.links.next = arena.template zeros<uint32_t>("entries of lists of links", 4 * std::size_t{links.count()});
 
   const FreeBodies& free = m.free_bodies;
   s.balance.body_count = free.count();

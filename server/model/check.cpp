@@ -97,7 +97,7 @@ void check_boundary(const Model& m) {
 void check_surfaces(const Model& m) {
   const ContactSurface& contact = m.contact;
   const std::size_t triangles = contact.triangle_count();
-  TM_ASSERT(triangles == 0 || !m.tools.empty() || m.ties.candidate_count() > 0,
+  TM_ASSERT(triangles == 0 || !m.tools.empty() || m.links.candidate_count() > 0,
             "only scenes with tools or contact between bodies have a contact surface");
   std::uint32_t core_points = 0, contact_points = 0;
   for (const ToolModel& tool : m.tools) {
@@ -130,46 +130,46 @@ void check_surfaces(const Model& m) {
       TM_ASSERT(are_below(ends, m.visible.attachment_point_count()), "springs name attachment points");
     }
   }
-  TM_ASSERT(m.attachments.empty() || springs == m.ties.spring_count(), "clients see all springs");
+  TM_ASSERT(m.attachments.empty() || springs == m.links.spring_count(), "clients see all springs");
 }
 
-void check_ties(const Model& m) {
-  const Ties& ties = m.ties;
-  if (ties.count() == 0) return;
-  const std::size_t patches = m.layout.patch_count, sides = ties.side_groups.size() / 3;
-  TM_ASSERT(m.solve == SolveKind::kStages, "fused solves know no ties");
-  assert_offsets(ties.patch_rows, patches, ties.rows.size());
-  TM_ASSERT(are_below(ties.rows, m.layout.row_count) && ties.row_place.size() == m.layout.row_count,
-            "ties name rows of the layout");
-  if (ties.candidate_count() > 0) assert_offsets(ties.patch_candidates, patches, ties.candidate_count());
-  if (ties.spring_count() > 0) assert_offsets(ties.patch_springs, patches, ties.spring_count());
-  TM_ASSERT(ties.spring_places.size() == ties.spring_count() && are_below(ties.spring_places, ties.spring_count()),
+void check_links(const Model& m) {
+  const Links& links = m.links;
+  if (links.count() == 0) return;
+  const std::size_t patches = m.layout.patch_count, sides = links.side_groups.size() / 3;
+  TM_ASSERT(m.solve == SolveKind::kStages, "fused solves know no links");
+  assert_offsets(links.patch_rows, patches, links.rows.size());
+  TM_ASSERT(are_below(links.rows, m.layout.row_count) && links.row_place.size() == m.layout.row_count,
+            "links name rows of the layout");
+  if (links.candidate_count() > 0) assert_offsets(links.patch_candidates, patches, links.candidate_count());
+  if (links.spring_count() > 0) assert_offsets(links.patch_springs, patches, links.spring_count());
+  TM_ASSERT(links.spring_places.size() == links.spring_count() && are_below(links.spring_places, links.spring_count()),
             "a spring of the scene has a place");
-  TM_ASSERT(ties.candidates.size() == 2 * std::size_t{ties.candidate_count()}, "a candidate has a vertex and a side");
-  for (std::size_t i = 0; i < ties.candidates.size(); i += 2) {
-    TM_ASSERT(ties.candidates[i] < m.contact.surface_rows.size() && ties.candidates[i + 1] < sides,
+  TM_ASSERT(links.candidates.size() == 2 * std::size_t{links.candidate_count()}, "a candidate has a vertex and a side");
+  for (std::size_t i = 0; i < links.candidates.size(); i += 2) {
+    TM_ASSERT(links.candidates[i] < m.contact.surface_rows.size() && links.candidates[i + 1] < sides,
               "it names those that exist");
   }
-  TM_ASSERT(ties.side_numbers.size() == view::kSideNumbers * sides, "each side has its numbers");
-  TM_ASSERT(ties.leaf_count() % view::kGroupLeaves == 0, "groups of leaves are full");
+  TM_ASSERT(links.side_numbers.size() == view::kSideNumbers * sides, "each side has its numbers");
+  TM_ASSERT(links.leaf_count() % view::kGroupLeaves == 0, "groups of leaves are full");
   for (std::size_t side = 0; side < sides; ++side) {
-    TM_ASSERT(ties.side_groups[3 * side] <= ties.side_groups[3 * side + 1] &&
-                  ties.side_groups[3 * side + 1] * view::kGroupLeaves <= ties.leaf_count(),
+    TM_ASSERT(links.side_groups[3 * side] <= links.side_groups[3 * side + 1] &&
+                  links.side_groups[3 * side + 1] * view::kGroupLeaves <= links.leaf_count(),
               "a side has groups of leaves");
   }
-  TM_ASSERT(are_below(ties.spring_rows, m.layout.row_count), "springs name rows of the layout");
-  TM_ASSERT(ties.spring_numbers.size() == 3 * std::size_t{ties.spring_count()}, "each spring has its numbers");
-  if (ties.edge_candidate_count() == 0) return;
-  const std::size_t edges = ties.edge_rows.size() / 4;
-  TM_ASSERT(are_below(ties.edge_rows, m.layout.row_count), "edges name rows of the layout");
-  TM_ASSERT(ties.edge_numbers.size() == view::kEdgeNumbers * edges, "each edge has its numbers");
-  TM_ASSERT(ties.triangle_edges.size() == m.contact.triangle_rows.size(), "a triangle has three edges");
-  for (const std::uint32_t edge : ties.triangle_edges) {
+  TM_ASSERT(are_below(links.spring_rows, m.layout.row_count), "springs name rows of the layout");
+  TM_ASSERT(links.spring_numbers.size() == 3 * std::size_t{links.spring_count()}, "each spring has its numbers");
+  if (links.edge_candidate_count() == 0) return;
+  const std::size_t edges = links.edge_rows.size() / 4;
+  TM_ASSERT(are_below(links.edge_rows, m.layout.row_count), "edges name rows of the layout");
+  TM_ASSERT(links.edge_numbers.size() == view::kEdgeNumbers * edges, "each edge has its numbers");
+  TM_ASSERT(links.triangle_edges.size() == m.contact.triangle_rows.size(), "a triangle has three edges");
+  for (const std::uint32_t edge : links.triangle_edges) {
     TM_ASSERT(edge < edges || edge == view::kNoEntry, "triangles name edges that exist");
   }
-  assert_offsets(ties.patch_edge_candidates, patches, ties.edge_candidate_count());
-  for (std::size_t i = 0; i < ties.edge_candidates.size(); i += 2) {
-    TM_ASSERT(ties.edge_candidates[i] < edges && ties.edge_candidates[i + 1] < sides, "it names those that exist");
+  assert_offsets(links.patch_edge_candidates, patches, links.edge_candidate_count());
+  for (std::size_t i = 0; i < links.edge_candidates.size(); i += 2) {
+    TM_ASSERT(links.edge_candidates[i] < edges && links.edge_candidates[i + 1] < sides, "it names those that exist");
   }
 }
 
@@ -193,7 +193,7 @@ void check_model(const Model& m) {
   }
   check_boundary(m);
   check_surfaces(m);
-  check_ties(m);
+  check_links(m);
 }
 
 }  // namespace tensormass::model

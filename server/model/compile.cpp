@@ -18,7 +18,7 @@
 
 /// Compiles a scene, a message of untrusted input, to a Model, which a step can trust.
 ///
-///   scene --read--> bodies, tools, ties --merge--> one mesh --make_layout--> rows --make--> masses, loads, prescribed
+///   scene --read--> bodies, tools, links --merge--> one mesh --make_layout--> rows --make--> masses, loads, prescribed
 ///   rows
 ///                                                                          --group--> elements by (shape, law)
 ///                                                                          --make---> surfaces for contact and clients
@@ -150,13 +150,13 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   TM_ASSIGN_OR_RETURN(bodies, read_bodies(scene, progress));
   BodyBoundaries boundaries(bodies.bodies);
   TM_ASSIGN_OR_RETURN(tools, read_tools(scene, bodies.merged.nodes, model.dt_s));
-  TM_ASSIGN_OR_RETURN(ties, read_ties(scene, bodies, boundaries));
+  TM_ASSIGN_OR_RETURN(links, read_links(scene, bodies, boundaries));
   TM_ASSIGN_OR_RETURN(accepted, read_accepted(scene, bodies.bodies, tools.tools));
   TM_ASSIGN_OR_RETURN(damping, read_damping(scene));
   for (const ReadBody& body : bodies.bodies) model.bodies.push_back({body, {}, {}, 0});
   model.tools = std::move(tools.tools);
   model.tool_samples = std::move(tools.samples);
-  model.body_contacts = ties.contacts;
+  model.body_contacts = links.contacts;
   model.accepted = std::move(accepted);
   append(std::move(bodies.findings), model.findings);
   append(std::move(tools.findings), model.findings);
@@ -167,7 +167,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   model.layout = make_layout(bodies.merged, clusters.clusters, policy);
 
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kBoundaryConditions));
-  store(make_row_fields(bodies, damping, ties, model, model.layout), model);
+  store(make_row_fields(bodies, damping, links, model, model.layout), model);
   TM_ASSIGN_OR_RETURN(boundary, make_boundary_conditions(scene, bodies, model, model.layout, model.row_mass));
   store(std::move(boundary), model);
 
@@ -176,18 +176,18 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   TM_RETURN_IF_ERROR(check_integrator(model, elements.groups));
   TM_ASSIGN_OR_RETURN(lists, list_elements_of_rows(model.layout, elements));
   store(std::move(elements), std::move(lists), model);
-  store(choose_solve(model, ties, model.layout, model.groups, policy), model);
+  store(choose_solve(model, links, model.layout, model.groups, policy), model);
 
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kSurfaces));
-  if (!model.tools.empty() || !ties.contacts.empty()) {
+  if (!model.tools.empty() || !links.contacts.empty()) {
     model.contact = make_contact_surface(bodies, model.layout);
     const std::vector<SurfaceModuli> moduli = moduli_of_surfaces(bodies.bodies, model.layout, model.contact);
     for (std::size_t b = 0; b < moduli.size(); ++b) static_cast<SurfaceModuli&>(model.bodies[b]) = moduli[b];
   }
-  if (!ties.empty()) {
-    model.ties = make_ties({.bodies = bodies, .ties = ties, .layout = model.layout, .contact = model.contact});
+  if (!links.empty()) {
+    model.links = make_links({.bodies = bodies, .links = links, .layout = model.layout, .contact = model.contact});
   }
-  const bool may_touch = !model.tools.empty() || !ties.empty();
+  const bool may_touch = !model.tools.empty() || !links.empty();
   if (may_touch && !model.iterates() && !model.quasi_static()) {  // else no step balances momentum
     model.free_bodies = find_free_bodies({.bodies = bodies,
                                           .layout = model.layout,
@@ -198,7 +198,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   if (model.frame_rate_hz > 0) {
     TM_ASSIGN_OR_RETURN(visible, make_visible_surface(scene, bodies, boundaries, model.layout));
     store(std::move(visible), model);
-    store(make_visible_springs(ties.attachments, bodies.merged.nodes, model.layout), model);
+    store(make_visible_springs(links.attachments, bodies.merged.nodes, model.layout), model);
   }
 
   append(find_loose_bodies(model, model.bodies), model.findings);
@@ -208,7 +208,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   append(find_mistakes_of_tools({.settings = model,
                                  .bodies = model.bodies,
                                  .damping = damping,
-                                 .attachments = ties.attachments,
+                                 .attachments = links.attachments,
                                  .tools = model.tools,
                                  .tool_samples = model.tool_samples,
                                  .layout = model.layout,
@@ -219,7 +219,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
          model.findings);
   append(find_overlaps({.bodies = bodies,
                         .boundaries = boundaries,
-                        .contacts = ties.contacts,
+                        .contacts = links.contacts,
                         .layout = model.layout,
                         .contact = model.contact}),
          model.findings);

@@ -19,11 +19,11 @@
 /// The parts of model::compile, each a function from inputs to outputs. A part can be made again alone: it reads its
 /// parameters only, and what it makes it returns.
 ///
-///   read_parts.h   bodies, tools, ties, settings
+///   read_parts.h   bodies, tools, links, settings
 ///        │
 ///        ├─ make_clusters ─ make_layout ──┬─ make_row_fields ─ make_boundary_conditions   fields by row
 ///        │                                ├─ group_elements ─ list_elements_of_rows ─ choose_solve
-///        │                                ├─ make_contact_surface ─ make_ties             what tools and bodies touch
+///        │                                ├─ make_contact_surface ─ make_links             what tools and bodies touch
 ///        │                                └─ make_visible_surface, make_visible_springs   what clients see
 ///        └─ find_*                                                                        what is probably a mistake
 ///
@@ -54,7 +54,7 @@ struct RowFields {
   std::vector<double> rest, inertia, row_mass, mass_edges;
 };
 /// damping: [body]
-RowFields make_row_fields(const ReadBodies& bodies, std::span<const Damping> damping, const ReadTies& ties,
+RowFields make_row_fields(const ReadBodies& bodies, std::span<const Damping> damping, const ReadLinks& links,
                           const Settings& settings, const matrix::Layout& layout);
 
 /// Boundary conditions, loads and the initial state. Members without a comment are those of Model.
@@ -94,7 +94,7 @@ struct SolveChoice {
   std::vector<std::size_t> checked_groups;  ///< groups with ElementGroup::solve_checks_volume
   matrix::PatchTetrahedra checked;          ///< Model::checked
 };
-SolveChoice choose_solve(const Settings& settings, const ReadTies& ties, const matrix::Layout& layout,
+SolveChoice choose_solve(const Settings& settings, const ReadLinks& links, const matrix::Layout& layout,
                          std::span<const ElementGroup> groups, const PatchPolicy& policy);
 
 /// Makes the triangles that tools and bodies can touch: the boundary of all bodies.
@@ -103,14 +103,14 @@ ContactSurface make_contact_surface(const ReadBodies& bodies, const matrix::Layo
 std::vector<SurfaceModuli> moduli_of_surfaces(std::span<const ReadBody> bodies, const matrix::Layout& layout,
                                               const ContactSurface& contact);
 
-struct TieInput {
+struct LinkInput {
   const ReadBodies& bodies;
-  const ReadTies& ties;
+  const ReadLinks& links;
   const matrix::Layout& layout;
   const ContactSurface& contact;  ///< empty if bodies do not touch
 };
-/// Makes the ties of contacts between bodies and of attachments.
-Ties make_ties(const TieInput& input);
+/// Makes the links of contacts between bodies and of attachments.
+Links make_links(const LinkInput& input);
 
 struct FreeBodyInput {
   const ReadBodies& bodies;

@@ -98,7 +98,7 @@ Editor::Editor(const Model& m)
   batches_.reserve(kept_.size());
   edit_.ranges.reserve(kUsualRanges);
   edit_.held_rows.reserve(m.layout.row_count);
-  edit_.severed.reserve(m.ties.spring_count());
+  edit_.severed.reserve(m.links.spring_count());
   edit_.moved_triangles.reserve(triangle_piece_.size());
   elements_.reserve(limits::kMaxElementsOfEdit);
   went_.reserve(limits::kMaxElementsOfEdit);

@@ -42,7 +42,7 @@ struct Ablation {
 struct ModelEdit {
   std::vector<EditRange> ranges;
   std::vector<std::uint32_t> held_rows;  ///< rows that lost the last of their material: they stop
-  std::vector<std::uint32_t> severed;    ///< springs that break, as places of Ties::spring_rows
+  std::vector<std::uint32_t> severed;    ///< springs that break, as places of Links::spring_rows
   /// Contact triangles whose memory of friction moves: from, to, in this order. From mesh::kNone: it starts empty.
   std::vector<std::pair<std::uint32_t, std::uint32_t>> moved_triangles;
   bool changes_loads = false;  ///< gravity or pressure

@@ -205,7 +205,8 @@ class TablesMaker {
     for (const auto& face : m_.pressure.faces) out_.pressures.push_back(face.pressure_pa);
     out_.checked_rows = m_.checked.rows;
     std::vector<std::pair<std::uint32_t, std::uint32_t>> springs;
-    for (std::uint32_t i = 0; i < m_.ties.spring_rows.size(); ++i) springs.emplace_back(m_.ties.spring_rows[i], i / 2);
+    for (std::uint32_t i = 0; i < m_.links.spring_rows.size(); ++i)
+      springs.emplace_back(m_.links.spring_rows[i], i / 2);
     out_.springs = sorted_into_lists<std::uint32_t>(rows, springs);
     if (!m_.has_gravity || m_.external.empty()) return;
     out_.loads.assign(3 * rows, 0);

@@ -31,11 +31,11 @@ Result<matrix::GroupRowLists> list_elements_of_rows(const matrix::Layout& layout
   return matrix::make_row_lists(layout, rows, elements.constant_edges.empty());
 }
 
-SolveChoice choose_solve(const Settings& settings, const ReadTies& ties, const matrix::Layout& layout,
+SolveChoice choose_solve(const Settings& settings, const ReadLinks& links, const matrix::Layout& layout,
                          std::span<const ElementGroup> groups, const PatchPolicy& policy) {
   SolveChoice out;
   if (layout.storage == matrix::Storage::kEdges || settings.double_precision) return out;
-  if (!ties.empty()) return out;  // the fused solves know only neighbours in the mesh (solver/tie_product.h)
+  if (!links.empty()) return out;  // the fused solves know only neighbours in the mesh (solver/link_product.h)
   const std::uint32_t rows = layout.largest_patch();
   if (policy.solve_of) out.kind = policy.solve_of(layout);
   out.keeps_vectors = rows <= policy.solve_keeps_rows;

@@ -20,7 +20,7 @@
 #include "physics/element/rest.h"
 #include "physics/tool/pose.h"
 #include "physics/tool/tool.h"
-#include "view/ties.h"
+#include "view/links.h"
 
 namespace tensormass::v1 {
 class Tool;
@@ -149,10 +149,10 @@ struct ContactSurface {
   std::uint32_t triangle_count() const { return static_cast<std::uint32_t>(triangle_area.size()); }
 };
 
-/// Contact between bodies, and attachments (view/ties.h). Entries are grouped by patch.
-struct Ties {
+/// Contact between bodies, and attachments (view/links.h). Entries are grouped by patch.
+struct Links {
   std::vector<std::uint32_t> patch_rows;        ///< [patch_count + 1] into rows
-  std::vector<std::uint32_t> rows;              ///< rows that a tie may have, ascending
+  std::vector<std::uint32_t> rows;              ///< rows that a link may have, ascending
   std::vector<std::uint32_t> row_place;         ///< [row_count]
   std::vector<std::uint32_t> leaf_triangles;    ///< [leaf_count, kLeafTriangles]
   std::vector<std::uint32_t> patch_candidates;  ///< [patch_count + 1]
@@ -179,8 +179,8 @@ struct Ties {
   std::uint32_t edge_slot_count() const { return edge_candidate_count() * view::kEdgeSlots; }
   std::uint32_t count() const { return candidate_count() + spring_count() + edge_slot_count(); }
   std::uint32_t leaf_count() const { return static_cast<std::uint32_t>(leaf_triangles.size() / view::kLeafTriangles); }
-  /// Returns whether contacts remember something from step to step (view::TiesView::slips): the force with which a node
-  /// pushed, friction, on which side of its own body's surface a node is, or which edges touch.
+  /// Returns whether contacts remember something from step to step (view::LinksView::slips): the force with which a
+  /// node pushed, friction, on which side of its own body's surface a node is, or which edges touch.
   bool contacts_remember() const { return candidate_count() > 0; }
 };
 
@@ -369,7 +369,7 @@ struct Model : Settings {
   PressureSurface pressure;
   ScheduledLoads scheduled;
   ContactSurface contact;                      ///< empty: neither tools nor contact between bodies
-  Ties ties;                                   ///< empty: neither contact between bodies nor attachments
+  Links links;                                 ///< empty: neither contact between bodies nor attachments
   FreeBodies free_bodies;                      ///< empty: no step balances momentum
   VisibleSurface visible;                      ///< empty: no frames
   std::vector<VisibleAttachment> attachments;  ///< empty: no frames, or no attachments

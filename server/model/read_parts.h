@@ -86,7 +86,7 @@ struct ReadAttachment {
 };
 
 /// What couples bodies of a scene to each other.
-struct ReadTies {
+struct ReadLinks {
   std::vector<BodyContactModel> contacts;
   std::vector<ReadAttachment> attachments;
 
@@ -141,7 +141,7 @@ Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_vie
 Result<ReadTools> read_tools(const v1::Scene& scene, std::span<const Eigen::Vector3d> nodes, double dt_s);
 
 /// Reads contacts between bodies and attachments.
-Result<ReadTies> read_ties(const v1::Scene& scene, const ReadBodies& bodies, BodyBoundaries& boundaries);
+Result<ReadLinks> read_links(const v1::Scene& scene, const ReadBodies& bodies, BodyBoundaries& boundaries);
 
 /// Reads the findings that the scene accepts, of bodies and tools that it has.
 Result<std::vector<AcceptedFinding>> read_accepted(const v1::Scene& scene, std::span<const ReadBody> bodies,

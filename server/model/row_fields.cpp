@@ -9,7 +9,7 @@
 /// Makes the vectors that have an entry for each row: rest positions, masses and damping.
 ///
 ///   rest     [row] X, Y, Z, bits of the free directions: 7, until boundary conditions fix some
-///   inertia  [row] m_kk, α, β, √(ρ_max / ρ); the last is 1 if ties couple bodies; quasi-static scenes: 0, 0, 0, 1
+///   inertia  [row] m_kk, α, β, √(ρ_max / ρ); the last is 1 if links couple bodies; quasi-static scenes: 0, 0, 0, 1
 ///   gap row  zeros, and 1 as the last entry of inertia
 ///
 /// Symbols:
@@ -29,7 +29,7 @@ Result<std::vector<Damping>> read_damping(const v1::Scene& scene) {
   return all;
 }
 
-RowFields make_row_fields(const ReadBodies& all, std::span<const Damping> damping, const ReadTies& ties,
+RowFields make_row_fields(const ReadBodies& all, std::span<const Damping> damping, const ReadLinks& links,
                           const Settings& settings, const matrix::Layout& layout) {
   const std::vector<ReadBody>& bodies = all.bodies;
   const std::size_t rows = layout.row_count;
@@ -59,7 +59,7 @@ RowFields make_row_fields(const ReadBodies& all, std::span<const Damping> dampin
       if (!inertia) continue;
       out.inertia[4 * row + 1] = damping[b].mass_per_s;
       out.inertia[4 * row + 2] = damping[b].stiffness_s;
-      if (ties.empty()) out.inertia[4 * row + 3] = std::sqrt(densest / body.density_kg_per_m3);
+      if (links.empty()) out.inertia[4 * row + 3] = std::sqrt(densest / body.density_kg_per_m3);
     }
   }
   if (consistent) out.mass_edges.assign(layout.slot_count(), 0);

@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "matrix/edges.h"
-#include "solver/tie_product.h"
+#include "solver/link_product.h"
 #include "solver/vector_updates.h"
 #include "view/scene.h"
 
@@ -26,7 +26,8 @@
 ///    no second exchange.
 /// 4. r·r itself is summed afresh in every iteration, which keeps the recurrence from drifting (Saad 1985; Meurant
 ///    1987).
-/// 5. Ties couple rows of patches that need not be neighbours (tie_product.h). A scene with ties has a second barrier
+/// 5. Links couple rows of patches that need not be neighbours (link_product.h). A scene with links has a second
+/// barrier
 ///    in each iteration, before p of other patches is read.
 /// 6. Sums run in a fixed order: results repeat bitwise for the same number of patches.
 /// 7. The first iteration searches along the last step's solution, with α = p·r / p·q and β = 0. Successive steps
@@ -118,14 +119,14 @@ class Recurrence {
 };
 
 /// Solves Â x = b̂. The system must be scaled: `edges` holds Â, `rhs` holds b̂.
-/// Reads edges, diagonal, rhs, kept, ties; writes solution, kept, residual, direction, product, own_product, reduction,
-/// solve_report.
+/// Reads edges, diagonal, rhs, kept, links; writes solution, kept, residual, direction, product, own_product,
+/// reduction, solve_report.
 template <class Team, class Real>
 TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::PatchesView& patches,
                                                    const view::StateView<Real>& state,
                                                    const view::MatrixView<Real>& matrix,
                                                    const view::SolveView<Real>& solve,
-                                                   const view::TiesView<Real>& ties) {
+                                                   const view::LinksView<Real>& links) {
   using Lanes = typename Team::template Lanes<Real>;
   using T = typename Lanes::Scalar;
   const view::Patch patch = view::patch_of(patches, team.patch());
@@ -167,16 +168,16 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
     Real* product = solve.product + std::size_t{iteration & 1} * 4 * patches.row_count;
     Real* own_product = product + std::size_t{4} * patch.row_begin;
     T sum_pq = T(0), sum_qq = T(0);
-    Real tie_pq = 0, tie_qq = 0;
-    const bool has_ties = ties.count() > 0;
-    if (has_ties) team.meet();
+    Real link_pq = 0, link_qq = 0;
+    const bool has_links = links.count() > 0;
+    if (has_links) team.meet();
     if constexpr (requires { Team::kOneThread; }) {
       if (matrix::stores_edges(matrix)) {
         own_product = solve.own_product + std::size_t{4} * patch.row_begin;
         matrix::multiply_edges<Lanes>(matrix, patch, p, own_product);
-        if (has_ties) {
-          add_tie_product(team, state, matrix, ties, solve.direction, solve.own_product, tie_pq, tie_qq);
-          tie_pq = tie_qq = 0;  // the next line sums them
+        if (has_links) {
+          add_link_product(team, state, matrix, links, solve.direction, solve.own_product, link_pq, link_qq);
+          link_pq = link_qq = 0;  // the next line sums them
         }
         matrix::publish_product<Lanes>(matrix, patch, p, own_product, product, sum_pq, sum_qq);
       }
@@ -199,13 +200,13 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
         sum_pq += own[0] * q[0] + own[1] * q[1] + own[2] * q[2];
         sum_qq += q[0] * q[0] + q[1] * q[1] + q[2] * q[2];
       });
-      if (has_ties) {
+      if (has_links) {
         team.sync();
-        add_tie_product(team, state, matrix, ties, solve.direction, product, tie_pq, tie_qq);
+        add_link_product(team, state, matrix, links, solve.direction, product, link_pq, link_qq);
       }
     }
     const bool along_last = recurrence.is_along_last();
-    Real sums[3] = {Lanes::sum(sum_pq) + tie_pq, along_last ? Lanes::sum(sum_pr) : Lanes::sum(sum_qq) + tie_qq,
+    Real sums[3] = {Lanes::sum(sum_pq) + link_pq, along_last ? Lanes::sum(sum_pr) : Lanes::sum(sum_qq) + link_qq,
                     Lanes::sum(sum_rr)};
     team.exchange(sums, solve.reduction + std::size_t{iteration & 1} * 4 * patches.patch_count);
     if (!recurrence.take(sums[0], sums[1], sums[2])) break;

@@ -23,8 +23,8 @@
 /// 3. s is one number for each body. The matrix couples no rows of two bodies, so Â does not depend on s. The iteration
 ///    ends at a fraction of ‖b̂‖. With s = 1 that is the residual's D⁻¹ norm, in which a body counts by its mass. A
 ///    light body beside a heavy one would then stay unsolved. With s² = (largest density of the scene) / (the body's
-///    density), a body counts by its volume. Without inertia s = 1. Ties couple rows of two bodies (tie_product.h), so
-///    a scene with ties has s = 1 as well.
+///    density), a body counts by its volume. Without inertia s = 1. Links couple rows of two bodies (link_product.h),
+///    so a scene with links has s = 1 as well.
 namespace tensormass::solver {
 
 /// Computes L⁻¹ of a block.

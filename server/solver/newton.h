@@ -60,7 +60,7 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
   constexpr double kTrustedResidual = 0.5;  // relative CG residual above which an increment may be far too short
   view::NewtonControl& control = device.control();
   const std::uint32_t usual_stiffness = project_to_psd ? 1 : 0;
-  control = {.positive_stiffness = usual_stiffness, .begins_step = 1, .line_share = 1};
+  control = {.projects_stiffness = usual_stiffness, .begins_step = 1, .line_share = 1};
   const auto evaluate = [&] {
     device.evaluate();
     const NewtonResidual now = device.residual();
@@ -90,12 +90,12 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
     StepResult solved = device.result();
     cg_iterations += solved.cg_iterations;
     if (solved.negative_curvature && solved.finite) {
-      control.positive_stiffness = 1;
+      control.projects_stiffness = 1;
       take_share(0);
       device.solve();
       solved = device.result();
       cg_iterations += solved.cg_iterations;
-      control.positive_stiffness = usual_stiffness;
+      control.projects_stiffness = usual_stiffness;
     }
     const std::uint32_t iterations = total.newton_iterations + 1;
     NewtonResidual next = evaluate();

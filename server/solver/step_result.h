@@ -8,9 +8,9 @@
 
 #include "view/balance.h"
 #include "view/guard.h"
+#include "view/links.h"
 #include "view/newton.h"
 #include "view/solve.h"
-#include "view/ties.h"
 
 /// The host's result of a step, reduced from the reports of the patches. This last, short reduction runs in the order
 /// of the patches, so that it repeats bitwise.
@@ -55,9 +55,9 @@ struct StepResult {
   }
 };
 
-/// Adds what the ties of all patches did.
+/// Adds what the links of all patches did.
 template <class Real>
-void read_ties(std::span<const view::TieReport<Real>> patches, StepResult& result) {
+void read_links(std::span<const view::LinkReport<Real>> patches, StepResult& result) {
   double pressed_n = 0, changed_n = 0;
   for (const auto& patch : patches) {
     result.touching_nodes += static_cast<std::uint32_t>(patch.contacts);

@@ -60,8 +60,8 @@ std::string_view own_damping(model::Integrator integrator) {
 }
 
 void list_without_self_contact(const model::Model& m, v1::SceneReport& report) {
-  for (std::size_t side = 0; side < m.ties.side_groups.size(); side += 3) {
-    if (m.ties.side_groups[side + 2] != 0) return;
+  for (std::size_t side = 0; side < m.links.side_groups.size(); side += 3) {
+    if (m.links.side_groups[side + 2] != 0) return;
   }
   report.add_not_modelled("self-contact: no body_contacts of a body with itself");
 }
@@ -69,7 +69,7 @@ void list_without_self_contact(const model::Model& m, v1::SceneReport& report) {
 void list_not_modelled(const model::Model& m, v1::SceneReport& report) {
   if (m.tools.empty())
     report.add_not_modelled("contact with tools: the scene has none; no contact stage, no contact buffer");
-  if (m.bodies.size() > 1 && m.ties.candidate_count() == 0)
+  if (m.bodies.size() > 1 && m.links.candidate_count() == 0)
     report.add_not_modelled("contact between bodies: no body_contacts, so they pass through each other");
   list_without_self_contact(m, report);
   if (!m.tools.empty() && !m.has_friction()) report.add_not_modelled("friction: no tool has a friction_coefficient");

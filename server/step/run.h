@@ -3,7 +3,7 @@
 #include <type_traits>
 
 #include "contact/balance.h"
-#include "contact/ties.h"
+#include "contact/links.h"
 #include "contact/tools.h"
 #include "matrix/edge_assembly.h"
 #include "matrix/rows.h"
@@ -47,27 +47,27 @@ struct RunStage {
     if constexpr (kKind == K::kPrescribe) solver::prescribe(team, s.state, s.prescribed);
     if constexpr (kKind == K::kQueryClosest) contact::query_closest(team, s.patches, s.state, s.contact);
     if constexpr (kKind == K::kGenerateContacts) contact::generate_contacts(team, s.patches, s.state, s.contact);
-    if constexpr (kKind == K::kBeginTies) contact::begin_ties(team, s.patches, s.state, s.contact, s.ties);
-    if constexpr (kKind == K::kFindTies) contact::find_ties(team, s.state, s.contact, s.ties);
+    if constexpr (kKind == K::kBeginLinks) contact::begin_links(team, s.patches, s.state, s.contact, s.links);
+    if constexpr (kKind == K::kFindLinks) contact::find_links(team, s.state, s.contact, s.links);
     if constexpr (kKind == K::kBeginEdges && kIsCpu) matrix::begin_edges(team, s.patches, s.state, s.matrix, s.newton);
     if constexpr (kKind == K::kDecompose) matrix::decompose<Shape>(team, s.patches, s.state, e);
     if constexpr (kKind == K::kFinishRows) matrix::finish_rows(team, s.patches, s.state, s.matrix, s.newton);
     if constexpr (kKind == K::kExternalForces) step::add_external_forces(team, s.patches, s.state, s.matrix);
     if constexpr (kKind == K::kPressure) step::add_pressure(team, s.state, s.matrix, s.newton, s.pressure);
     if constexpr (kKind == K::kAssembleContact) contact::assemble(team, s.patches, s.state, s.matrix, s.contact);
-    if constexpr (kKind == K::kAssembleTies) contact::assemble_ties(team, s.state, s.matrix, s.ties);
+    if constexpr (kKind == K::kAssembleLinks) contact::assemble_links(team, s.state, s.matrix, s.links);
     if constexpr (kKind == K::kMeasureResidual) solver::measure_residual(team, s.patches, s.state, s.matrix, s.newton);
     if constexpr (kKind == K::kFactorize) solver::factorize(team, s.patches, s.state, s.matrix);
     if constexpr (kKind == K::kScaleEdges) solver::scale_edges(team, s.patches, s.matrix);
-    if constexpr (kKind == K::kSolve) solver::conjugate_gradients(team, s.patches, s.state, s.matrix, s.solve, s.ties);
+    if constexpr (kKind == K::kSolve) solver::conjugate_gradients(team, s.patches, s.state, s.matrix, s.solve, s.links);
     if constexpr (kKind == K::kAdvance) solver::advance(team, s.patches, s.state, s.matrix, s.solve, s.newton, s.guard);
     if constexpr (kKind == K::kBacktrack) solver::backtrack(team, s.patches, s.state, s.newton, s.guard);
     if constexpr (kKind == K::kMeasureBalance)
-      contact::measure_balance(team, s.patches, s.state, s.contact, s.ties, s.balance);
+      contact::measure_balance(team, s.patches, s.state, s.contact, s.links, s.balance);
     if constexpr (kKind == K::kSolveBalance) contact::solve_balance(team, s.patches, s.state, s.balance);
     if constexpr (kKind == K::kApplyBalance) solver::apply_balance(team, s.patches, s.state, s.guard, s.balance);
     if constexpr (kKind == K::kMeasureContact) contact::measure(team, s.patches, s.state, s.contact, s.balance);
-    if constexpr (kKind == K::kMeasureTies) contact::measure_ties(team, s.state, s.ties);
+    if constexpr (kKind == K::kMeasureLinks) contact::measure_links(team, s.state, s.links);
     if constexpr (kKind == K::kExtrapolate) solver::extrapolate(team, s.patches, s.state, s.guard);
     if constexpr (kKind == K::kCheckInversion) step::check_inversion<Shape>(team, s.patches, s.state, s.guard, e);
     if constexpr (kKind == K::kGatherSurface) step::gather_surface(team, s.patches, s.state, s.surface);

@@ -29,8 +29,8 @@ enum class StageKind : std::uint8_t {
   kBeginBalance,
   kQueryClosest,
   kGenerateContacts,
-  kBeginTies,
-  kFindTies,
+  kBeginLinks,
+  kFindLinks,
   kBeginEdges,
   kInternalVariables,
   kDecompose,
@@ -39,7 +39,7 @@ enum class StageKind : std::uint8_t {
   kExternalForces,
   kPressure,
   kAssembleContact,
-  kAssembleTies,
+  kAssembleLinks,
   kMeasureResidual,
   kFactorize,
   kScaleEdges,
@@ -52,7 +52,7 @@ enum class StageKind : std::uint8_t {
   kSolveBalance,
   kApplyBalance,
   kMeasureContact,
-  kMeasureTies,
+  kMeasureLinks,
   kExtrapolate,
   kCheckInversion,
   kDiagnostics,
@@ -111,7 +111,7 @@ struct StageSizes {
         edges(model.layout.storage == matrix::Storage::kEdges) {}
 
   bool has_tools() const { return !m.tools.empty(); }
-  bool has_ties() const { return m.ties.count() > 0; }
+  bool has_links() const { return m.links.count() > 0; }
   bool balances() const { return m.free_bodies.count() > 0; }
   bool fused() const { return m.solve != model::SolveKind::kStages; }
   double nodes_of_element() const { return static_cast<double>(group->rows.size()) / group->stride; }
@@ -130,18 +130,18 @@ struct StageSizes {
   }
   Cost generate_contacts() const { return {tools * triangles * (12 + 3 * 8 * real) + contacts * real, contacts * 60}; }
   /// A pass over the groups of boxes for each candidate, and over a leaf with its triangles. Deeper searches cost more.
-  Cost find_ties() const {
-    const double leaves = m.ties.leaf_triangles.size() / view::kLeafTriangles;
-    const double boxes = leaves / view::kGroupLeaves + view::kGroupLeaves, candidates = m.ties.candidate_count();
-    const double searching = candidates + m.ties.edge_candidate_count();
+  Cost find_links() const {
+    const double leaves = m.links.leaf_triangles.size() / view::kLeafTriangles;
+    const double boxes = leaves / view::kGroupLeaves + view::kGroupLeaves, candidates = m.links.candidate_count();
+    const double searching = candidates + m.links.edge_candidate_count();
     const double near = searching * view::kLeafTriangles;
-    return {leaves * 6 * real + near * (4 + 12 + 9 * real) + m.ties.count() * 15 * real,
+    return {leaves * 6 * real + near * (4 + 12 + 9 * real) + m.links.count() * 15 * real,
             searching * boxes * 15 + near * 60};
   }
   Cost solve() const {  // one iteration
-    const double tied = 4 * m.ties.count();
-    const Cost whole{slots * (9 * real + 4) + rows * 9 * 4 * real + tied * 20 * real,
-                     slots * (edges ? 36 : 18) + rows * 36 + tied * 150};
+    const double linked = 4 * m.links.count();
+    const Cost whole{slots * (9 * real + 4) + rows * 9 * 4 * real + linked * 20 * real,
+                     slots * (edges ? 36 : 18) + rows * 36 + linked * 150};
     if (m.double_precision || m.layout.storage != matrix::Storage::kTiles) return whole;
     // Tiles stream in single precision: packed blocks, and beside each a column, mostly of 16 bits.
     const double slot = sizeof(matrix::PackedBlock) + sizeof(std::uint16_t), row = sizeof(matrix::PackedDiagonal);
@@ -196,19 +196,19 @@ inline constexpr StageInfo kStages[] = {
    "contact generation", "displacement, tools, closest, friction slips", "contacts, friction", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
    [](const StageSizes& s) { return s.generate_contacts(); }},
-  {StageKind::kBeginTies, Phase::kEvaluate, Scope::kScene, Communication::kNone,
-   "begin ties", "displacement", "empty lists of ties, boxes around surfaces",
+  {StageKind::kBeginLinks, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "begin links", "displacement", "empty lists of links, boxes around surfaces",
    "bodies touch each other or are attached to each other",
-   [](const StageSizes& s) { return s.has_ties(); },
+   [](const StageSizes& s) { return s.has_links(); },
    [](const StageSizes& s) {
-     const double places = static_cast<double>(s.m.ties.leaf_triangles.size());  // leaves and groups both read them
+     const double places = static_cast<double>(s.m.links.leaf_triangles.size());  // leaves and groups both read them
      return Cost{places * 2 * (4 + 12 + 3 * 8 * s.real), places * 2 * 18};
    }},
-  {StageKind::kFindTies, Phase::kEvaluate, Scope::kScene, Communication::kNone,
-   "find ties", "displacement, velocity, boxes, friction slips, broken springs", "ties, their lists",
+  {StageKind::kFindLinks, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "find links", "displacement, velocity, boxes, friction slips, broken springs", "links, their lists",
    "bodies touch each other or are attached to each other",
-   [](const StageSizes& s) { return s.has_ties(); },
-   [](const StageSizes& s) { return s.find_ties(); }},
+   [](const StageSizes& s) { return s.has_links(); },
+   [](const StageSizes& s) { return s.find_links(); }},
   {StageKind::kBeginEdges, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "assemble constant part", "constant tensors, velocity", "matrix, right-hand side",
    "the matrix stores edges (CPU); element passes then add to it",
@@ -276,13 +276,13 @@ inline constexpr StageInfo kStages[] = {
      const double points = s.m.contact_points();
      return Cost{incidences * (16 * s.tools + 9 * s.real * points), points * incidences * 4};
    }},
-  {StageKind::kAssembleTies, Phase::kEvaluate, Scope::kScene, Communication::kNone,
-   "assemble ties", "ties, velocity", "matrix diagonal, right-hand side",
+  {StageKind::kAssembleLinks, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "assemble links", "links, velocity", "matrix diagonal, right-hand side",
    "bodies touch each other or are attached to each other",
-   [](const StageSizes& s) { return s.has_ties(); },
+   [](const StageSizes& s) { return s.has_links(); },
    [](const StageSizes& s) {
-     const double ties = s.m.ties.count();
-     return Cost{ties * (4 * 4 + 4 * (4 + 15 * s.real)), ties * 4 * 100};
+     const double links = s.m.links.count();
+     return Cost{links * (4 * 4 + 4 * (4 + 15 * s.real)), links * 4 * 100};
    }},
   {StageKind::kMeasureResidual, Phase::kEvaluate, Scope::kScene, Communication::kReduces,
    "measure residual", "right-hand side, forces", "residual of each patch", "the scene solves more than once a step",
@@ -325,7 +325,7 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) { return s.m.iterates(); },
    [](const StageSizes& s) { return Cost{s.rows * 5 * 4 * s.real, s.rows * 12}; }},
   {StageKind::kMeasureBalance, Phase::kEnd, Scope::kScene, Communication::kReduces,
-   "measure balance", "displacement, velocity, contacts, friction, ties", "missing momentum of free bodies",
+   "measure balance", "displacement, velocity, contacts, friction, links", "missing momentum of free bodies",
    "as for begin balance",
    [](const StageSizes& s) { return s.balances(); },
    [](const StageSizes& s) { return Cost{s.rows * (4 + 20 * s.real) + s.contacts * s.real, s.rows * 300}; }},
@@ -347,13 +347,13 @@ inline constexpr StageInfo kStages[] = {
      const double slips = s.m.contacts_remember() ? 4 + 4 : 0;  // reads and writes
      return Cost{s.contacts * s.real * (1 + slips), s.contacts};
    }},
-  {StageKind::kMeasureTies, Phase::kEnd, Scope::kScene, Communication::kReduces,
-   "measure ties", "ties, velocity", "broken springs, friction slips, report",
+  {StageKind::kMeasureLinks, Phase::kEnd, Scope::kScene, Communication::kReduces,
+   "measure links", "links, velocity", "broken springs, friction slips, report",
    "bodies touch each other or are attached to each other",
-   [](const StageSizes& s) { return s.has_ties(); },
+   [](const StageSizes& s) { return s.has_links(); },
    [](const StageSizes& s) {
-     const double ties = s.m.ties.count();
-     return Cost{ties * (4 * 4 + 24 * s.real), ties * 100};
+     const double links = s.m.links.count();
+     return Cost{links * (4 * 4 + 24 * s.real), links * 100};
    }},
   {StageKind::kExtrapolate, Phase::kEnd, Scope::kScene, Communication::kReduces,
    "extrapolate", "base displacement and velocity, displacement, velocity", "displacement, velocity, guard reports",

@@ -8,7 +8,7 @@ namespace tensormass::view {
 
 /// Inputs of the next phase from the host.
 struct NewtonControl {
-  std::uint32_t positive_stiffness;  // 1: project the stiffness to positive definite; 0: the consistent one
+  std::uint32_t projects_stiffness;  // 1: project the stiffness to positive definite; 0: the consistent one
   std::uint32_t begins_step;         // 1: displacement is that of the last step's end, so internal variables advance
   float line_share;                  // fraction of the last increment to take
 };

@@ -5,13 +5,13 @@
 #include "view/contact.h"
 #include "view/elements.h"
 #include "view/guard.h"
+#include "view/links.h"
 #include "view/matrix.h"
 #include "view/newton.h"
 #include "view/patches.h"
 #include "view/solve.h"
 #include "view/state.h"
 #include "view/surface.h"
-#include "view/ties.h"
 
 /// The data of a scene that stages read and write: plain pointers to host or device memory, in one precision.
 ///
@@ -26,7 +26,7 @@
 ///   elements ─────> groups of (shape, law)              one ElementView each, beside the scene
 ///   matrix ───────> A and b                             elements, loads and contact add to it
 ///   solve ────────> conjugate gradients                 Â x = b̂
-///   newton, guard, contact, ties, balance, prescribed, pressure, surface: only in scenes that use them
+///   newton, guard, contact, links, balance, prescribed, pressure, surface: only in scenes that use them
 ///
 /// A kernel takes the view by value, as its parameter.
 namespace tensormass::view {
@@ -40,7 +40,7 @@ struct SceneView {
   NewtonView<Real> newton;
   GuardView<Real> guard;
   ContactView<Real> contact;
-  TiesView<Real> ties;
+  LinksView<Real> links;
   BalanceView<Real> balance;
   PrescribedView<Real> prescribed;
   PressureView<Real> pressure;

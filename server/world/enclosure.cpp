@@ -14,7 +14,7 @@ Enclosure::Enclosure(const model::Model& model) {
   for (std::size_t b = 0; b < model.bodies.size(); ++b) {
     const model::BodyModel& body = model.bodies[b];
     const auto count = static_cast<double>(body.triangles.size());
-    if (count == 0 || count > kMostTrianglesPerS * model.dt_s) continue;
+    if (count == 0 || count > kMaxTrianglesPerS * model.dt_s) continue;
     if (!mesh::triangle_neighbours(body.triangles, body.name)) continue;
     bodies_.push_back({.place = b,
                        .vertex_begin = body.vertex_begin,
@@ -108,7 +108,7 @@ bool Enclosure::cross(const Body& body, const Vec3<double>& point, int axis, Cro
     if (winding == 0) continue;
     const Vec3<double> normal = (x[1] - x[0]).cross(x[2] - x[0]);
     if (normal[axis] == 0) continue;
-    if (out.count == kMostCrossings) return false;
+    if (out.count == kMaxCrossings) return false;
     out.all[out.count++] = {normal.dot(x[0]) / normal[axis], winding};
   }
   return true;

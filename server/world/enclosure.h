@@ -46,15 +46,15 @@ class Enclosure {
  private:
   /// Triangles of a body for each second of a step. A look reads all of them for each point of a core that is among
   /// them, which would take too much of the step if they were more.
-  static constexpr double kMostTrianglesPerS = 4e7;
+  static constexpr double kMaxTrianglesPerS = 4e7;
   /// Surfaces with more crossings on one line are too torn to tell inside from outside.
-  static constexpr std::size_t kMostCrossings = 64;
+  static constexpr std::size_t kMaxCrossings = 64;
   struct Crossings {
     struct One {
       double at_m;
       int leaves;  ///< 1, or −1: enters
     };
-    std::array<One, kMostCrossings> all;
+    std::array<One, kMaxCrossings> all;
     std::size_t count = 0;
   };
   /// A body whose visible surface is closed and small enough to be looked at.

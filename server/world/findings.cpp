@@ -173,10 +173,10 @@ void Findings::add_solve(const model::Model& m, v1::SceneStatus& status) const {
     // Newton's method makes up for a linear solve that ends early. Without it, the step keeps the error.
     const std::uint32_t solves = solves_.load(kRelaxed);
     const auto above = static_cast<std::uint32_t>(std::popcount(solves_above_.load(kRelaxed)));
-    if (above > thresholds::kMost * solves) {
+    if (above > thresholds::kMax * solves) {
       add({.code = FindingCode::kSolveAboveTolerance,
            .value = static_cast<double>(above) / solves,
-           .limit = thresholds::kMost,
+           .limit = thresholds::kMax,
            .place = "scene.solver.cg_max_iterations",
            .message = fmt::format("{} of the last {} solves ended above cg_tolerance = {:.2g}, the last one after {} "
                                   "iterations with a residual of {:.2g}: tissue moves less than it should",
@@ -270,10 +270,10 @@ void Findings::add_guard(const model::Model& m, v1::SceneStatus& status) const {
   const std::lock_guard lock(event_mutex_);
   status.set_guard_text(to_text(last_event_, m));
   const std::uint32_t again = repeated_.load(kRelaxed);
-  if (again <= thresholds::kMost * kWindow) return;
+  if (again <= thresholds::kMax * kWindow) return;
   add({.code = FindingCode::kRepeatedSteps,
        .value = static_cast<double>(again) / kWindow,
-       .limit = thresholds::kMost,
+       .limit = thresholds::kMax,
        .place = "scene.stepping.dt_s",
        .message = fmt::format("{} of {} steps left their bounds ({}) and were repeated with smaller steps or safer "
                               "settings, which takes longer",

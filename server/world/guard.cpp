@@ -33,7 +33,7 @@ constexpr double kEnergySlack = 4;
 constexpr double kLeastStrain = 1e-3;
 
 /// Parts of the finest retry of a quasi-static step.
-constexpr std::uint32_t kMostParts = 64;
+constexpr std::uint32_t kMaxParts = 64;
 constexpr const char* kLawsThatRecover =
     "corotational and stable_neo_hookean recover from collapse and inversion, the others do not";
 
@@ -49,7 +49,7 @@ constexpr std::array<Retry, 7> kQuasiStaticRetries{{
     {8, 1, false, Breach::kNone},
     {16, 1, false, Breach::kNone},
     {32, 1, false, Breach::kNone},
-    {kMostParts, 1, false, Breach::kNone},
+    {kMaxParts, 1, false, Breach::kNone},
     {8, 4, true, Breach::kNone},
 }};
 
@@ -112,7 +112,7 @@ double max_distance_m(const model::Model& m) {
 bool counts_all_work(const model::Model& m) { return m.prescribed_rows.rows.empty() && m.pressure.faces.empty(); }
 
 bool counts_all_energy(const model::Model& m) {
-  return !m.quasi_static() && m.mass_edges.empty() && m.ties.count() == 0 &&
+  return !m.quasi_static() && m.mass_edges.empty() && m.links.count() == 0 &&
          std::all_of(m.groups.begin(), m.groups.end(), [](const auto& group) { return group.prony.empty(); });
 }
 
@@ -257,7 +257,7 @@ std::string to_text(const GuardEvent& event, const model::Model& m) {
     return fmt::format(
         "{}. In up to {} parts it came to {:.2g} of the {}. {}. Reset the scene. Then {}fix enough nodes, lower the "
         "load, or take a law that stands it: {}",
-        what, kMostParts, event.reached, event.step == 1 ? "load" : "step", stopped,
+        what, kMaxParts, event.reached, event.step == 1 ? "load" : "step", stopped,
         m.double_precision ? "" : "take precision double, in which rounding hides no equilibrium, ", kLawsThatRecover);
   }
   return fmt::format(

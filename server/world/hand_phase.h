@@ -32,7 +32,7 @@ class HandPhase {
   /// loop did not see count as well.
   void take(const PoseStamp& stamp) {
     const std::uint64_t count = stamp.sequence - last_.sequence;
-    const bool follows = stamp.client_id == last_.client_id && count >= 1 && count <= kMostMissed &&
+    const bool follows = stamp.client_id == last_.client_id && count >= 1 && count <= kMaxMissed &&
                          stamp.arrived > last_.arrived && stamp.arrived - last_.arrived < kForgotten;
     if (!follows) {
       pose_period_ = kUnknown;
@@ -54,7 +54,7 @@ class HandPhase {
  private:
   static constexpr Clock::duration kUnknown = Clock::duration::max();
   /// A client whose numbers jump by more, or that was silent for so long, has a new rhythm.
-  static constexpr std::uint64_t kMostMissed = 1000;
+  static constexpr std::uint64_t kMaxMissed = 1000;
   static constexpr Clock::duration kForgotten = std::chrono::milliseconds(500);
   /// A period is the mean of about so many.
   static constexpr Clock::rep kSmoothing = 8;

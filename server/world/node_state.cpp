@@ -180,8 +180,8 @@ std::vector<std::uint32_t> order_of_triangles(const Model& m) {
 
 /// Candidates in the order of a NodeState.
 std::vector<std::uint32_t> order_of_candidates(const Model& m) {
-  return order_by(m.ties.candidate_count(), [&](std::uint32_t candidate) {
-    const std::uint32_t* entry = m.ties.candidates.data() + 2 * std::size_t{candidate};
+  return order_by(m.links.candidate_count(), [&](std::uint32_t candidate) {
+    const std::uint32_t* entry = m.links.candidates.data() + 2 * std::size_t{candidate};
     return std::pair(m.layout.node_of_row[m.contact.surface_rows[entry[0]]], entry[1]);
   });
 }
@@ -195,18 +195,18 @@ class EdgeMemories {
       const bool self = m.body_contacts[contact].body == m.body_contacts[contact].other;
       contact_of_side_.insert(contact_of_side_.end(), self ? 1 : 2, contact);
     }
-    for (std::uint32_t edge = 0; edge < m.ties.edge_rows.size() / 4; ++edge) edges_.emplace(nodes_of(edge), edge);
-    for (std::uint32_t candidate = 0; candidate < m.ties.edge_candidate_count(); ++candidate) {
+    for (std::uint32_t edge = 0; edge < m.links.edge_rows.size() / 4; ++edge) edges_.emplace(nodes_of(edge), edge);
+    for (std::uint32_t candidate = 0; candidate < m.links.edge_candidate_count(); ++candidate) {
       candidates_.emplace(std::pair(contact_of(candidate), edge_of(candidate)), candidate);
     }
   }
 
-  std::uint32_t edge_of(std::uint32_t candidate) const { return m_.ties.edge_candidates[2 * std::size_t{candidate}]; }
+  std::uint32_t edge_of(std::uint32_t candidate) const { return m_.links.edge_candidates[2 * std::size_t{candidate}]; }
   std::uint32_t contact_of(std::uint32_t candidate) const {
-    return contact_of_side_[m_.ties.edge_candidates[2 * std::size_t{candidate} + 1]];
+    return contact_of_side_[m_.links.edge_candidates[2 * std::size_t{candidate} + 1]];
   }
   EdgePair::Edge nodes_of(std::uint32_t edge) const {
-    const std::uint32_t* rows = m_.ties.edge_rows.data() + 4 * std::size_t{edge};
+    const std::uint32_t* rows = m_.links.edge_rows.data() + 4 * std::size_t{edge};
     const auto [low, high] = std::minmax(m_.layout.node_of_row[rows[0]], m_.layout.node_of_row[rows[1]]);
     return {low, high};
   }
@@ -238,7 +238,7 @@ EdgePair ordered(EdgePair pair) {
 std::vector<EdgePair> edge_pairs_of(const Model& m, const double* memory) {
   const EdgeMemories edges(m);
   std::vector<EdgePair> out;
-  for (std::uint32_t candidate = 0; candidate < m.ties.edge_candidate_count(); ++candidate) {
+  for (std::uint32_t candidate = 0; candidate < m.links.edge_candidate_count(); ++candidate) {
     for (std::uint32_t slot = 0; slot < view::kEdgeSlots; ++slot, memory += view::kEdgeMemory) {
       if (!(memory[view::kEdgePartner] > 0)) continue;
       const std::uint32_t other = static_cast<std::uint32_t>(memory[view::kEdgePartner]) - 1;
@@ -295,8 +295,8 @@ NodeStateSizes sizes_of(const Model& m) {
           .solution = m.iterates() ? 0 : vectors,
           .internal_variables = variables_by_element(m),
           .slips = m.contacts_remember() ? kSlipReals * m.contact_points() * m.contact.triangle_count() : 0,
-          .tie_slips = kSlipReals * m.ties.candidate_count(),
-          .broken = m.ties.spring_count()};
+          .link_slips = kSlipReals * m.links.candidate_count(),
+          .broken = m.links.spring_count()};
 }
 
 NodeState by_node(const Model& m, const LayoutState& state) {
@@ -328,18 +328,18 @@ NodeState by_node(const Model& m, const LayoutState& state) {
       }
     }
   }
-  if (m.ties.contacts_remember()) {
-    out.tie_slips.reserve(sizes.tie_slips);
+  if (m.links.contacts_remember()) {
+    out.link_slips.reserve(sizes.link_slips);
     for (const std::uint32_t candidate : order_of_candidates(m)) {
-      const double* slip = history.tie_slips.data() + kSlipReals * candidate;
-      out.tie_slips.insert(out.tie_slips.end(), slip, slip + kSlipReals);
+      const double* slip = history.link_slips.data() + kSlipReals * candidate;
+      out.link_slips.insert(out.link_slips.end(), slip, slip + kSlipReals);
     }
-    if (m.ties.edge_candidate_count() > 0) {
-      out.edge_pairs = edge_pairs_of(m, history.tie_slips.data() + sizes.tie_slips);
+    if (m.links.edge_candidate_count() > 0) {
+      out.edge_pairs = edge_pairs_of(m, history.link_slips.data() + sizes.link_slips);
     }
   }
   out.broken.reserve(sizes.broken);
-  for (const std::uint32_t place : m.ties.spring_places) out.broken.push_back(history.broken[place] != 0 ? 1 : 0);
+  for (const std::uint32_t place : m.links.spring_places) out.broken.push_back(history.broken[place] != 0 ? 1 : 0);
   return out;
 }
 
@@ -349,7 +349,7 @@ LayoutState in_layout(const Model& m, const NodeState& state) {
                 state.previous_displacement.size() == sizes.previous &&
                 state.previous_velocity.size() == sizes.previous && state.solution.size() == sizes.solution &&
                 state.internal_variables.size() == sizes.internal_variables && state.slips.size() == sizes.slips &&
-                state.tie_slips.size() == sizes.tie_slips && state.broken.size() == sizes.broken,
+                state.link_slips.size() == sizes.link_slips && state.broken.size() == sizes.broken,
             "a state is of the same scene");
   LayoutState out;
   auto& [rows, history] = out;
@@ -375,18 +375,18 @@ LayoutState in_layout(const Model& m, const NodeState& state) {
       }
     }
   }
-  if (m.ties.contacts_remember()) {
-    history.tie_slips.assign(sizes.tie_slips + view::kEdgeMemory * std::size_t{m.ties.edge_slot_count()}, 0.0);
-    const double* slip = state.tie_slips.data();
+  if (m.links.contacts_remember()) {
+    history.link_slips.assign(sizes.link_slips + view::kEdgeMemory * std::size_t{m.links.edge_slot_count()}, 0.0);
+    const double* slip = state.link_slips.data();
     for (const std::uint32_t candidate : order_of_candidates(m)) {
-      std::copy_n(slip, kSlipReals, &history.tie_slips[kSlipReals * candidate]);
+      std::copy_n(slip, kSlipReals, &history.link_slips[kSlipReals * candidate]);
       slip += kSlipReals;
     }
-    put_edge_pairs(m, state.edge_pairs, history.tie_slips.data() + sizes.tie_slips);
+    put_edge_pairs(m, state.edge_pairs, history.link_slips.data() + sizes.link_slips);
   }
   history.broken.resize(sizes.broken);
   for (std::size_t spring = 0; spring < sizes.broken; ++spring) {
-    history.broken[m.ties.spring_places[spring]] = state.broken[spring];
+    history.broken[m.links.spring_places[spring]] = state.broken[spring];
   }
   return out;
 }

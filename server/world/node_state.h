@@ -25,7 +25,7 @@
 ///   elements    group by group (ElementGroup), ascending in each; a cluster counts as its first element
 ///   triangles   of the contact surface: by the node of the first corner, then as in the boundary of the mesh. In a
 ///               scene with editing as in its layout
-///   candidates  nodes that may touch a surface: by node, then side (view::TiesView)
+///   candidates  nodes that may touch a surface: by node, then side (view::LinksView)
 ///   springs     as in the scene's attachments
 ///
 /// A layout that computes an element in several patches has its state several times, all equal.
@@ -62,7 +62,7 @@ struct NodeState {
   std::vector<double> solution;               ///< [node_count, 3] of the last linear solve
   std::vector<double> internal_variables;     ///< [element][quadrature point][Prony term][6] Pa
   std::vector<double> slips;                  ///< [triangle][contact point][4], see view::ContactView::slips
-  std::vector<double> tie_slips;              ///< [candidate][4], see view::TiesView::slips
+  std::vector<double> link_slips;             ///< [candidate][4], see view::LinksView::slips
   std::vector<std::uint8_t> broken;           ///< [spring] 1: it is broken
   std::vector<EdgePair> edge_pairs;           ///< ascending; no two of the same edges
   double internal_dt_s = 0;                   ///< these three as in RowState and StepHistory
@@ -72,7 +72,7 @@ struct NodeState {
 
 /// Sizes of the arrays of a NodeState; 0: the scene does not use it.
 struct NodeStateSizes {
-  std::size_t nodes, previous, solution, internal_variables, slips, tie_slips, broken;
+  std::size_t nodes, previous, solution, internal_variables, slips, link_slips, broken;
 };
 NodeStateSizes sizes_of(const model::Model& model);
 

@@ -134,7 +134,7 @@ bool Recording::take(v1::RecordSceneResponse& response) {
   // Before the rings: what the loop did before it closed is in them then.
   const bool ended = closed();
   while (const Step* step = steps_.front()) {
-    if (response.steps_size() == kMostSteps || edit_bytes >= kMostEditBytes) break;
+    if (response.steps_size() == kMaxSteps || edit_bytes >= kMaxEditBytes) break;
     add_lost(step->index, response);
     read_index_ = step->index;
     v1::RecordedStep& out = *response.add_steps();

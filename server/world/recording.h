@@ -81,7 +81,7 @@ class Recording {
   // -- the reader's thread --------------------------------------------------------------------------------------------
 
   bool closed() const { return closed_.load(std::memory_order_acquire); }
-  /// Fills `response` with what came since the last call: at most kMostSteps steps, and after kMostEditBytes of edits
+  /// Fills `response` with what came since the last call: at most kMaxSteps steps, and after kMaxEditBytes of edits
   /// no further step. Returns false if there is nothing. After `close`, one more false means the end.
   bool take(v1::RecordSceneResponse& response);
   /// Sets what frees the reader when it is evicted. Called on the loop's thread; must not block. Set nothing before
@@ -90,9 +90,9 @@ class Recording {
   bool evicted() const { return evicted_.load(std::memory_order_relaxed); }
 
   /// Steps in one message.
-  static constexpr int kMostSteps = 1000;
+  static constexpr int kMaxSteps = 1000;
   /// Bytes of edits in one message, after which it ends.
-  static constexpr std::size_t kMostEditBytes = std::size_t{1} << 20;
+  static constexpr std::size_t kMaxEditBytes = std::size_t{1} << 20;
 
  private:
   struct Step {

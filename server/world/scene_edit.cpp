@@ -62,7 +62,7 @@ Result<void> add_severing(const model::Model& model, const v1::Severing& message
     }
     return {};
   }
-  if (model.attachments.empty() && model.ties.spring_count() > 0) {
+  if (model.attachments.empty() && model.links.spring_count() > 0) {
     return fail(
         ErrorCode::kFailedPrecondition,
         fmt::format("{}: a scene without frames does not name its attachments; set streams.frame_rate_hz", where));

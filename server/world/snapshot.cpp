@@ -265,7 +265,7 @@ void write_tissue(const NodeState& tissue, v1::SnapshotState& out) {
   write_doubles(tissue.previous_displacement, *out.mutable_previous_displacement());
   write_doubles(tissue.previous_velocity, *out.mutable_previous_velocity());
   write_doubles(tissue.slips, *out.mutable_slips());
-  write_doubles(tissue.tie_slips, *out.mutable_tie_slips());
+  write_doubles(tissue.link_slips, *out.mutable_link_slips());
   write_broken(tissue.broken, *out.mutable_broken_springs());
   for (const EdgePair& pair : tissue.edge_pairs) write_edge_pair(pair, *out.add_edge_pairs());
   write_doubles(tissue.solution, *out.mutable_solution());
@@ -286,7 +286,7 @@ Result<NodeState> read_tissue(const v1::SnapshotState& message, const model::Mod
   TM_ASSIGN_OR_RETURN(velocity_before, read_doubles(message.previous_velocity(), sizes.previous, "previous_velocity",
                                                     limits::kMaxLength));
   TM_ASSIGN_OR_RETURN(slips, read_doubles(message.slips(), sizes.slips, "slips"));
-  TM_ASSIGN_OR_RETURN(tie_slips, read_doubles(message.tie_slips(), sizes.tie_slips, "tie_slips"));
+  TM_ASSIGN_OR_RETURN(link_slips, read_doubles(message.link_slips(), sizes.link_slips, "link_slips"));
   TM_ASSIGN_OR_RETURN(broken, read_broken(message.broken_springs(), sizes.broken));
   TM_ASSIGN_OR_RETURN(pairs, read_edge_pairs(message, model));
   TM_ASSIGN_OR_RETURN(solution, read_doubles(message.solution(), sizes.solution, "solution"));
@@ -299,7 +299,7 @@ Result<NodeState> read_tissue(const v1::SnapshotState& message, const model::Mod
   out.solution = std::move(solution);
   out.internal_variables = std::move(internal);
   out.slips = std::move(slips);
-  out.tie_slips = std::move(tie_slips);
+  out.link_slips = std::move(link_slips);
   out.broken = std::move(broken);
   out.edge_pairs = std::move(pairs);
   out.internal_dt_s = internal_dt_s;

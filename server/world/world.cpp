@@ -11,7 +11,7 @@ namespace tensormass::world {
 namespace {
 
 /// Trials of a step, with tools that give way before each but the first.
-constexpr std::uint32_t kMostTrials = 8;
+constexpr std::uint32_t kMaxTrials = 8;
 /// Trials after the first that aim at the slower of two rises of the load (Hold::kAims).
 constexpr std::uint32_t kAimingTrials = 3;
 /// How a step that cannot be made is made with tools that back off: by how much, as Hold::back_off counts it, and in
@@ -30,7 +30,7 @@ constexpr double kWeightOfRecovery = 4, kStuckS = 0.2;
 /// Simulated time between two looks for tools that are inside tissue.
 constexpr double kBetweenLooksS = 0.05;
 /// Parts of the finest retry while a hand feels tissue. Its tools back off sooner than a hand can wait for more.
-constexpr std::uint32_t kMostPartsForAHand = 2;
+constexpr std::uint32_t kMaxPartsForAHand = 2;
 
 }  // namespace
 
@@ -60,7 +60,7 @@ World::World(std::shared_ptr<const model::Model> loaded, std::unique_ptr<model::
       guard_(*model_),
       energy_(*model_),
       cg_limit_(model_->cg_max_iterations),
-      broken_(model_->ties.spring_count()),
+      broken_(model_->links.spring_count()),
       broken_bits_((broken_.size() + 7) / 8) {
   if (model_->edit_tables != nullptr) editor_.emplace(*model_);
   severed_.severed.reserve(broken_.size());
@@ -145,7 +145,7 @@ void World::read_broken() {
   std::fill(broken_bits_.begin(), broken_bits_.end(), std::uint8_t{0});
   broken_count_ = 0;
   for (std::size_t spring = 0; spring < broken_.size(); ++spring) {
-    if (broken_[model_->ties.spring_places[spring]] == 0) continue;
+    if (broken_[model_->links.spring_places[spring]] == 0) continue;
     broken_bits_[spring / 8] |= static_cast<std::uint8_t>(1u << spring % 8);
     ++broken_count_;
   }
@@ -254,7 +254,7 @@ BoundCheck World::check_loads(double rise) const {
 /// Repeats a step that left a bound: with tools that give way while their load is too large, then with tools that back
 /// off.
 BoundCheck World::step_with_tools_moved(BoundCheck check) {
-  for (std::uint32_t trial = 1; check.breach == Breach::kToolLoad && trial < kMostTrials; ++trial) {
+  for (std::uint32_t trial = 1; check.breach == Breach::kToolLoad && trial < kMaxTrials; ++trial) {
     for (std::size_t i = 0; i < tools_.size(); ++i) {
       if (model_->tools[i].fixed) continue;
       if (tools_[i].share(forces_[i], Hold::kAims) > 1 || tools_[i].too_far_back(forces_[i]))
@@ -391,7 +391,7 @@ BoundCheck World::retry(const BoundCheck& first) {
     if (how.only_for != Breach::kNone && (first.breach != how.only_for || cg_limit_ == model_->cg_max_iterations)) {
       continue;
     }
-    if (model_->goes_on && how.steps > kMostPartsForAHand && touches(published_)) break;
+    if (model_->goes_on && how.steps > kMaxPartsForAHand && touches(published_)) break;
     state_->restore();
     // A step whose iterations were too few is repeated as it was; any other, linearized once, in the safer way.
     const bool as_planned = first.breach == Breach::kLinearResidual && !projection_.active() && !touches(published_);

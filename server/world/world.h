@@ -210,7 +210,7 @@ class World {
     bool active() const { return left_ > 0; }
     /// Call if the consistent stiffness failed.
     void begin() {
-      length_ = std::min(2 * length_, kMost);
+      length_ = std::min(2 * length_, kMax);
       left_ = length_;
       good_ = 0;
     }
@@ -228,13 +228,13 @@ class World {
       to.projection_good = good_;
     }
     void restore(const SavedBesideTissue& from) {
-      left_ = std::min(from.projection_left, kMost);
-      length_ = std::clamp(from.projection_length, kLeast / 2, kMost);
-      good_ = std::min(from.projection_good, kMost);
+      left_ = std::min(from.projection_left, kMax);
+      length_ = std::clamp(from.projection_length, kLeast / 2, kMax);
+      good_ = std::min(from.projection_good, kMax);
     }
 
    private:
-    static constexpr std::uint32_t kLeast = 32, kMost = 1024;  // steps
+    static constexpr std::uint32_t kLeast = 32, kMax = 1024;  // steps
     std::uint32_t left_ = 0, length_ = kLeast / 2, good_ = 0;
   };
 

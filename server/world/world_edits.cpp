@@ -38,7 +38,7 @@ Result<void> World::edit(std::span<const model::Ablation> ablations, std::span<c
   if (editor_) TM_RETURN_IF_ERROR(editor_->check(*model_, ablations));
   TM_RETURN_IF_ERROR(check_springs(springs));
   severed_.clear();
-  for (const std::uint32_t spring : springs) severed_.severed.push_back(model_->ties.spring_places[spring]);
+  for (const std::uint32_t spring : springs) severed_.severed.push_back(model_->links.spring_places[spring]);
   if (!springs.empty()) state_->apply(severed_);
   if (!ablations.empty()) apply(ablations);
   if (!broken_.empty()) read_broken();

@@ -43,7 +43,7 @@ TYPED_TEST(PackedColumns, LieWithinTheMemoryOfTheirUnpackedBlocks) {
 
 TYPED_TEST(PackedColumns, NeighboursKeepTheirRowAndTheirBit) {
   using Of = Neighbour<TypeParam>;
-  for (const std::uint32_t local : {0u, 1u, 255u, Of::kMostLocals - 1}) {
+  for (const std::uint32_t local : {0u, 1u, 255u, Of::kMaxLocals - 1}) {
     for (const bool serves_both : {false, true}) {
       const TypeParam word = Of::of(local, serves_both);
       EXPECT_EQ(Of::local(word), local);
@@ -165,7 +165,7 @@ TEST(TileWalk, MultipliesEachBlockOfTheLayoutOnce) {
     const mesh::Mesh mesh = mesh::testing::random_mesh(seed, 8, 0.9);
     for (const matrix::Storage storage : {matrix::Storage::kRows, matrix::Storage::kTiles}) {
       const Layout layout = matrix::make_layout(mesh, 2, storage);
-      const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : matrix::kMostTileRows;
+      const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : matrix::kMaxTileRows;
       Products expected;
       for (std::uint32_t row = 0; row < layout.row_count; ++row) {
         for (std::uint32_t j = layout.slice_begin[row / kSliceRows]; j < layout.slice_begin[row / kSliceRows + 1];

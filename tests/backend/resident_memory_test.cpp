@@ -43,9 +43,9 @@ TEST(ResidentMemory, HasOnePlaceForEachComponentOfAColumn) {
 }
 
 TEST(ResidentMemory, AWordHoldsTheOffsetsOfTwoBlocks) {
-  constexpr std::uint32_t kMost = kMostOffset / kCellBytes;
-  for (const std::uint32_t even : {0u, 7u, kMost}) {
-    for (const std::uint32_t odd : {0u, 5u, kMost}) {
+  constexpr std::uint32_t kMax = kMaxOffset / kCellBytes;
+  for (const std::uint32_t even : {0u, 7u, kMax}) {
+    for (const std::uint32_t odd : {0u, 5u, kMax}) {
       const std::uint32_t word = with_offset(with_offset(0xFFFFFFFFu, 4, even), 5, odd);
       EXPECT_EQ(offset_of(word, 4), even * kCellBytes);
       EXPECT_EQ(offset_of(word, 5), odd * kCellBytes);
@@ -153,7 +153,7 @@ TEST(ResidentRoom, IsForThePatchThatNeedsMost) {
 TEST(ResidentRoom, RefusesPatchesWhoseOffsetsExceed16Bits) {
   const matrix::Layout layout = matrix::make_layout(mesh::testing::random_mesh(1, 8, 0.9), 1);
   PatchSizes most = largest_sizes(layout);
-  most.locals = kMostOffset / kCellBytes;
+  most.locals = kMaxOffset / kCellBytes;
   EXPECT_TRUE(resident_room(layout, most, 4, std::size_t{1} << 30));
   ++most.locals;
   EXPECT_FALSE(resident_room(layout, most, 4, std::size_t{1} << 30));

@@ -27,7 +27,7 @@ TYPED_TEST(RowsMemory, HasAPlaceOfItsOwnForEachComponentOfEachBlock) {
   using Real = TypeParam;
   constexpr std::uint32_t kFirst = 7;  // column of the slice with which the turn begins
   for (const bool keeps_neighbours : {false, true}) {
-    for (const std::uint32_t sums : {1u, 2u, kMostPartsWithSums}) {
+    for (const std::uint32_t sums : {1u, 2u, kMaxPartsWithSums}) {
       for (const std::uint32_t capacity : {kLeastColumns, 15u}) {
         MemoryMap map(capacity * column_reals(keeps_neighbours, sums) * kSliceRows * sizeof(Real));
         auto* const quads = reinterpret_cast<Quad<Real>*>(map.begin());
@@ -79,9 +79,9 @@ TYPED_TEST(RowsMemory, PartsWithASumEachFitTheDevice) {
         expect_fits<Real>(launch, keeps_neighbours, false, kBytes);
         if (widest != 14) continue;
         const std::uint32_t parts = launch.threads / kSliceRows;
-        EXPECT_LE(parts, kMostPartsWithSums);
+        EXPECT_LE(parts, kMaxPartsWithSums);
         EXPECT_GE(launch.capacity, widest) << "the whole slice fits";
-        const std::uint32_t wanted = slices == 100000 ? kUsualParts : slices == 600 ? 3 : kMostPartsWithSums;
+        const std::uint32_t wanted = slices == 100000 ? kUsualParts : slices == 600 ? 3 : kMaxPartsWithSums;
         EXPECT_LE(parts, wanted);
         const std::size_t more = column_reals(keeps_neighbours, parts + 1);
         EXPECT_TRUE(parts == wanted || launch.capacity * more * kSliceRows * sizeof(Real) > kBytes);

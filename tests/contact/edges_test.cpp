@@ -132,7 +132,7 @@ TEST_P(Edges, KeepTheMomentumOfBarsThatMeetInFlight) {
 
 TM_ON_EACH_BACKEND(Edges);
 
-/// Makes the ties of a scene with the upper bar moved.
+/// Makes the links of a scene with the upper bar moved.
 double stiffness_after(StagedScene<double>& staged, const Vec3<double>& motion, Vec3<double>* force = nullptr) {
   std::vector<double> displacement(3 * std::size_t{staged.node_count()}, 0.0);
   for (std::uint32_t node = staged.model.bodies[1].node_begin; node < staged.node_count(); ++node) {
@@ -140,20 +140,20 @@ double stiffness_after(StagedScene<double>& staged, const Vec3<double>& motion, 
   }
   staged.put(staged.view.state.displacement,
              Eigen::Map<const Eigen::VectorXd>(displacement.data(), static_cast<Eigen::Index>(displacement.size())));
-  staged.run(step::StageKind::kBeginTies);
-  staged.run(step::StageKind::kFindTies);
-  const view::TiesView<double>& ties = staged.view.ties;
+  staged.run(step::StageKind::kBeginLinks);
+  staged.run(step::StageKind::kFindLinks);
+  const view::LinksView<double>& links = staged.view.links;
   double sum = 0;
-  for (std::uint32_t t = ties.first_edge_tie(); t < ties.count(); ++t) {
-    const view::Tie<double>& tie = ties.ties[t];
-    sum += tie.stiffness;
-    if (force != nullptr && tie.stiffness > 0) *force += Vec3<double>(tie.force[0], tie.force[1], tie.force[2]);
+  for (std::uint32_t t = links.first_edge_link(); t < links.count(); ++t) {
+    const view::Link<double>& link = links.links[t];
+    sum += link.stiffness;
+    if (force != nullptr && link.stiffness > 0) *force += Vec3<double>(link.force[0], link.force[1], link.force[2]);
   }
   return sum;
 }
 
 /// The crossing slides along both ridges, over nodes of either. The stiffness of the contact stays the same.
-TEST(EdgeTies, DoNotJumpFromEdgeToEdgeOfARidge) {
+TEST(EdgeLinks, DoNotJumpFromEdgeToEdgeOfARidge) {
   for (const double yaw : {90 * kDegree, 50 * kDegree}) {
     Ridges ridges;
     ridges.lower_cells = 7;
@@ -175,13 +175,13 @@ TEST(EdgeTies, DoNotJumpFromEdgeToEdgeOfARidge) {
 }
 
 /// Bars with a gap do not touch, though the far side of each lies behind the far side of the other.
-TEST(EdgeTies, LeaveAloneBarsThatDoNotTouch) {
+TEST(EdgeLinks, LeaveAloneBarsThatDoNotTouch) {
   for (const double turn : {std::numbers::pi / 4, 0.0}) {
     Ridges ridges;
     ridges.upper_turn = turn;
     ridges.gap_m = 0.004;
     StagedScene<double> staged(crossed_ridges(ridges));
-    ASSERT_GT(staged.view.ties.edges.candidate_count, 0u);
+    ASSERT_GT(staged.view.links.edges.candidate_count, 0u);
     EXPECT_EQ(stiffness_after(staged, {0, 0, 0}), 0);
     EXPECT_EQ(stiffness_after(staged, {0, 0.03, 0}), 0);
     EXPECT_GT(stiffness_after(staged, {0, -0.005, 0}), 0);
@@ -190,7 +190,7 @@ TEST(EdgeTies, LeaveAloneBarsThatDoNotTouch) {
 
 /// The closest points of random edges solve the least-squares problem of their lines, and the gap grows by what the
 /// edge moves along n.
-TEST(EdgeTies, MeetWhereTheirLinesAreClosest) {
+TEST(EdgeLinks, MeetWhereTheirLinesAreClosest) {
   std::mt19937 random(7);
   std::uniform_real_distribution<double> any(-1, 1);
   const auto vector = [&] { return Vec3<double>(any(random), any(random), any(random)); };
@@ -218,9 +218,9 @@ TEST(EdgeTies, MeetWhereTheirLinesAreClosest) {
 }
 
 /// A body without a sharp edge has no candidates, and neither has one that only touches itself.
-TEST(EdgeTies, AreOnlyThoseOfSharpEdges) {
+TEST(EdgeLinks, AreOnlyThoseOfSharpEdges) {
   v1::Scene scene = crossed_ridges();
-  EXPECT_GT(tests::compile_into(scene, 1, matrix::Storage::kEdges).ties.edge_candidate_count(), 0u);
+  EXPECT_GT(tests::compile_into(scene, 1, matrix::Storage::kEdges).links.edge_candidate_count(), 0u);
   mesh::Mesh ball = mesh::make_grid({-1, -1, -1}, {2, 2, 2}, 6, 6, 6).value();
   for (Eigen::Vector3d& x : ball.nodes) {
     if (x.norm() > 0) x *= 0.02 * x.lpNorm<Eigen::Infinity>() / x.norm();
@@ -230,8 +230,8 @@ TEST(EdgeTies, AreOnlyThoseOfSharpEdges) {
   v1::Scene other;
   *scene.mutable_bodies(1)->mutable_mesh() = tests::add_packed(other, "ball", ball).mesh();
   const model::Model smooth = tests::compile_into(scene, 1, matrix::Storage::kEdges);
-  EXPECT_EQ(smooth.ties.edge_candidate_count(), 0u);
-  EXPECT_TRUE(smooth.ties.edge_rows.empty() && smooth.ties.triangle_edges.empty());
+  EXPECT_EQ(smooth.links.edge_candidate_count(), 0u);
+  EXPECT_TRUE(smooth.links.edge_rows.empty() && smooth.links.triangle_edges.empty());
 }
 
 }  // namespace

@@ -430,7 +430,7 @@ TEST(LayoutDeathTest, AssertsTheBitsOfTiles) {
   check_layout(layout);
   for (std::uint32_t j = layout.slice_begin[0]; j < mirrored; ++j) layout.used_twice[j] = 0xFFFFFFFFu;
   EXPECT_DEATH(check_layout(layout), "only a row of its own tile");
-  layout.tile_rows = 2 * kMostTileRows;
+  layout.tile_rows = 2 * kMaxTileRows;
   EXPECT_DEATH(check_layout(layout), "room for the sums of a tile");
 }
 

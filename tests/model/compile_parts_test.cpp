@@ -41,7 +41,7 @@ struct Read {
   Settings settings = value_of(read_settings(scene));
   ReadBodies bodies = value_of(read_bodies(scene, {}));
   BodyBoundaries boundaries{bodies.bodies};
-  ReadTies ties = value_of(read_ties(scene, bodies, boundaries));
+  ReadLinks links = value_of(read_links(scene, bodies, boundaries));
   std::vector<Damping> damping = value_of(read_damping(scene));
   Clusters clusters = make_clusters(bodies.bodies);
 
@@ -89,7 +89,7 @@ TEST_P(CompileParts, AreMadeAgainForAnotherCutIntoPatches) {
   const matrix::Layout layout = make_layout(read.bodies.merged, read.clusters.clusters, GetParam());
   expect_equal_rows(layout, model.layout);
 
-  RowFields fields = make_row_fields(read.bodies, read.damping, read.ties, read.settings, layout);
+  RowFields fields = make_row_fields(read.bodies, read.damping, read.links, read.settings, layout);
   const BoundaryConditions boundary =
       value_of(make_boundary_conditions(read.scene, read.bodies, read.settings, layout, fields.row_mass));
   hold_directions(boundary.held, fields.rest);
@@ -107,10 +107,10 @@ TEST_P(CompileParts, AreMadeAgainForAnotherCutIntoPatches) {
   const ContactSurface contact = make_contact_surface(read.bodies, layout);
   EXPECT_EQ(contact.triangle_rows, model.contact.triangle_rows);
   EXPECT_EQ(contact.incidence, model.contact.incidence);
-  const Ties ties = make_ties({.bodies = read.bodies, .ties = read.ties, .layout = layout, .contact = contact});
-  EXPECT_EQ(ties.rows, model.ties.rows);
-  EXPECT_EQ(ties.candidates, model.ties.candidates);
-  EXPECT_EQ(ties.spring_rows, model.ties.spring_rows);
+  const Links links = make_links({.bodies = read.bodies, .links = read.links, .layout = layout, .contact = contact});
+  EXPECT_EQ(links.rows, model.links.rows);
+  EXPECT_EQ(links.candidates, model.links.candidates);
+  EXPECT_EQ(links.spring_rows, model.links.spring_rows);
   const FreeBodies free = find_free_bodies({.bodies = read.bodies,
                                             .layout = layout,
                                             .rest = fields.rest,
@@ -120,7 +120,7 @@ TEST_P(CompileParts, AreMadeAgainForAnotherCutIntoPatches) {
   EXPECT_EQ(free.row_body, model.free_bodies.row_body);
 
   const VisibleBodies visible = value_of(make_visible_surface(read.scene, read.bodies, read.boundaries, layout));
-  const VisibleSprings springs = make_visible_springs(read.ties.attachments, read.bodies.merged.nodes, layout);
+  const VisibleSprings springs = make_visible_springs(read.links.attachments, read.bodies.merged.nodes, layout);
   std::vector<std::uint32_t> rows = visible.surface.rows;
   rows.insert(rows.end(), springs.rows.begin(), springs.rows.end());
   EXPECT_EQ(rows, model.visible.rows);

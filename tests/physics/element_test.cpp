@@ -381,7 +381,7 @@ TYPED_TEST(EveryPair, ForcesBalance) {
   using Law = TypeParam;
   this->for_each_shape(1.5e-3, [&](auto tag, const auto& element, const auto& rest, auto& u) {
     using Shape = typename decltype(tag)::Type;
-    const auto tensors = element_tensors<Law>(rest, u, this->parameters_.data(), Stiffness::kPositive);
+    const auto tensors = element_tensors<Law>(rest, u, this->parameters_.data(), Stiffness::kProjected);
     Vec3<double> net = Vec3<double>::Zero(), torque = Vec3<double>::Zero();
     for (int k = 0; k < Shape::kNodes; ++k) {
       net += tensors.force[k];
@@ -399,7 +399,7 @@ TYPED_TEST(EveryPair, ProjectedStiffnessIsPsdAndForcesAreUnchanged) {
     this->for_each_shape(1.5e-3, [&](auto tag, const auto& element, const auto& rest, auto& u) {
       using Shape = typename decltype(tag)::Type;
       for (int k = 0; k < Shape::kNodes; ++k) u[k][0] += (pressed - 1) * element.x[k][0];
-      const auto positive = element_tensors<Law>(rest, u, this->parameters_.data(), Stiffness::kPositive);
+      const auto positive = element_tensors<Law>(rest, u, this->parameters_.data(), Stiffness::kProjected);
       const auto consistent = element_tensors<Law>(rest, u, this->parameters_.data(), Stiffness::kConsistent);
       EXPECT_EQ(force(positive), force(consistent));
       const Eigen::MatrixXd k = stiffness(positive);

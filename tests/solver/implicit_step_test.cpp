@@ -58,7 +58,7 @@ TEST(Advance, StoresPositionsThatMatchTheDisplacement) {
   };
   staged.put(staged.view.newton.increment, tests::random_field(3 * staged.node_count(), 1, 1));
   view::NewtonControl& newton = *staged.inputs.newton;
-  newton = {.positive_stiffness = 1, .begins_step = 1, .line_share = 0.25F};
+  newton = {.projects_stiffness = 1, .begins_step = 1, .line_share = 0.25F};
   staged.run_through(step::StageKind::kAdvance);
   EXPECT_GT(expect_same(), 0);
   staged.put(staged.view.newton.increment, tests::random_field(3 * staged.node_count(), 1, 1));

@@ -42,7 +42,7 @@ struct DenseSystem {
 /// Returns the system of a scene at displacement u [3 node_count]. The scene has no loads, full quadrature, lumped
 /// mass, and one law for each body.
 DenseSystem dense_system(const v1::Scene& scene, const Eigen::VectorXd& u,
-                         physics::Stiffness kind = physics::Stiffness::kPositive);
+                         physics::Stiffness kind = physics::Stiffness::kProjected);
 
 /// Returns numbers uniform in [−scale, scale]; the same seed gives the same numbers.
 inline Eigen::VectorXd random_field(Eigen::Index size, double scale, std::uint32_t seed) {

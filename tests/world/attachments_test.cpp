@@ -45,7 +45,7 @@ TEST_P(Attachments, NameTheEndsOfTheirSpringsAndFramesHaveThem) {
   const model::Model& m = world->model();
   const v1::Topology topology = make_topology(m, 1);
   ASSERT_EQ(topology.attachments_size(), 2);
-  EXPECT_EQ(topology.attachment_point_count(), 18u) << "17 nodes of the hanging block, and one that all are tied to";
+  EXPECT_EQ(topology.attachment_point_count(), 18u) << "17 nodes of the hanging block, and one that all are linked to";
   std::uint32_t vertices = 0;
   for (const v1::BodySurface& body : topology.bodies()) vertices += body.vertex_count();
 
@@ -85,17 +85,17 @@ TEST_P(Attachments, NameTheEndsOfTheirSpringsAndFramesHaveThem) {
 TEST_P(Attachments, KnowThePlaceOfEachSpring) {
   const auto world = start(tests::hanging_block());
   const model::Model& m = world->model();
-  EXPECT_FALSE(std::is_sorted(m.ties.spring_places.begin(), m.ties.spring_places.end())) << "the order differs";
+  EXPECT_FALSE(std::is_sorted(m.links.spring_places.begin(), m.links.spring_places.end())) << "the order differs";
   std::size_t number = 0;
   for (const model::VisibleAttachment& attachment : m.attachments) {
     for (const auto& ends : attachment.springs) {
-      const std::size_t place = m.ties.spring_places[number++];
+      const std::size_t place = m.links.spring_places[number++];
       for (std::size_t end = 0; end < 2; ++end) {
-        EXPECT_EQ(m.ties.spring_rows[2 * place + end], m.visible.rows[4 * (m.visible.vertex_count + ends[end])]);
+        EXPECT_EQ(m.links.spring_rows[2 * place + end], m.visible.rows[4 * (m.visible.vertex_count + ends[end])]);
       }
     }
   }
-  EXPECT_EQ(number, m.ties.spring_count());
+  EXPECT_EQ(number, m.links.spring_count());
 }
 
 TEST_P(Attachments, FramesSayWhichSpringsAreBroken) {

@@ -310,11 +310,11 @@ TEST_P(EditedSurfaces, SpringsAreSeveredAndGoWithTheirTissue) {
   const model::Model& m = world->model();
   const auto broken = [&] {
     int count = 0;
-    for (std::uint32_t i = 0; i < m.ties.spring_count(); ++i) count += world->broken_springs()[i / 8] >> i % 8 & 1;
+    for (std::uint32_t i = 0; i < m.links.spring_count(); ++i) count += world->broken_springs()[i / 8] >> i % 8 & 1;
     return count;
   };
   ASSERT_TRUE(world->step(false));
-  ASSERT_EQ(m.ties.spring_count(), 17u);
+  ASSERT_EQ(m.links.spring_count(), 17u);
   EXPECT_EQ(broken(), 0);
   ASSERT_TRUE(world->edit({}, std::vector<std::uint32_t>{3, 12}));
   EXPECT_EQ(broken(), 2);
@@ -324,7 +324,7 @@ TEST_P(EditedSurfaces, SpringsAreSeveredAndGoWithTheirTissue) {
   EXPECT_EQ(broken(), 2) << "nothing half done";
   ASSERT_TRUE(world->step(false));
   EXPECT_EQ(broken(), 2);
-  // All springs are tied to the first node of the block.
+  // All springs are linked to the first node of the block.
   const std::uint32_t row = m.layout.row_of_node[m.bodies[0].node_begin];
   std::vector<Ablation> edit;
   for (const auto& one : m.edit_tables->corners[row]) edit.push_back({one.item, 0});

@@ -65,7 +65,7 @@ void expect_same_bits(const NodeState& a, const NodeState& b) {
   EXPECT_TRUE(same_bits(a.solution, b.solution));
   EXPECT_TRUE(same_bits(a.internal_variables, b.internal_variables));
   EXPECT_TRUE(same_bits(a.slips, b.slips));
-  EXPECT_TRUE(same_bits(a.tie_slips, b.tie_slips));
+  EXPECT_TRUE(same_bits(a.link_slips, b.link_slips));
   EXPECT_EQ(a.broken, b.broken);
   EXPECT_EQ(without_slots(a.edge_pairs), without_slots(b.edge_pairs));
   EXPECT_EQ(a.internal_dt_s, b.internal_dt_s);
@@ -201,19 +201,19 @@ std::vector<NodeState> run(World& world, const Kind& kind, int from, int to) {
 
 /// Which parts of a NodeState the scenes below use.
 struct Used {
-  bool previous = false, no_solution = false, internal = false, slips = false, tie_slips = false, broken = false,
+  bool previous = false, no_solution = false, internal = false, slips = false, link_slips = false, broken = false,
        pairs = false;
   void add(const NodeState& state) {
     previous |= !state.previous_velocity.empty();
     no_solution |= state.solution.empty();
     internal |= largest(state.internal_variables) > 0;
     slips |= largest(state.slips) > 0;
-    tie_slips |= largest(state.tie_slips) > 0;
+    link_slips |= largest(state.link_slips) > 0;
     broken |= std::count(state.broken.begin(), state.broken.end(), 1) > 0 &&
               std::count(state.broken.begin(), state.broken.end(), 0) > 0;
     pairs |= !state.edge_pairs.empty();
   }
-  bool all() const { return previous && no_solution && internal && slips && tie_slips && broken && pairs; }
+  bool all() const { return previous && no_solution && internal && slips && link_slips && broken && pairs; }
 };
 
 /// Goes on from a state in every layout: to the bit in the one that saved it, to rounding in others.
@@ -280,7 +280,7 @@ TEST(NodeState, IsAllThatALayoutHas) {
       EXPECT_TRUE(same_bits(of_contacts.previous_velocity, history.previous_velocity));
       EXPECT_TRUE(same_bits(of_contacts.solution, history.solution));
       EXPECT_TRUE(same_bits(of_contacts.slips, history.slips));
-      EXPECT_TRUE(same_bits(of_contacts.tie_slips, history.tie_slips));
+      EXPECT_TRUE(same_bits(of_contacts.link_slips, history.link_slips));
       EXPECT_TRUE(same_bits(of_contacts.broken, history.broken));
     }
   }
@@ -297,8 +297,8 @@ class EdgePairs : public testing::Test {
   }
   /// Returns whether a body's edges search those of the other.
   static bool searches(const World& world, std::size_t body) {
-    const model::Ties& ties = world.model().ties;
-    const std::uint32_t row = ties.edge_rows[4 * std::size_t{ties.edge_candidates[0]}];
+    const model::Links& links = world.model().links;
+    const std::uint32_t row = links.edge_rows[4 * std::size_t{links.edge_candidates[0]}];
     return world.model().body_of_node(world.model().layout.node_of_row[row]) == body;
   }
 
@@ -313,20 +313,20 @@ TEST_F(EdgePairs, AreKeptWhoeverSearches) {
   model::Model turned = finer->model();
   // Lets the other body search, as a layout may decide for two bodies that are equally fine.
   std::vector<std::uint32_t> candidates;
-  for (std::uint32_t edge = 0; edge < turned.ties.edge_rows.size() / 4; ++edge) {
-    const std::uint32_t node = turned.layout.node_of_row[turned.ties.edge_rows[4 * std::size_t{edge}]];
+  for (std::uint32_t edge = 0; edge < turned.links.edge_rows.size() / 4; ++edge) {
+    const std::uint32_t node = turned.layout.node_of_row[turned.links.edge_rows[4 * std::size_t{edge}]];
     if (turned.body_of_node(node) == 0) candidates.insert(candidates.end(), {edge, 1});
   }
-  turned.ties.edge_candidates = candidates;
+  turned.links.edge_candidates = candidates;
   const LayoutState there = in_layout(turned, state);
   EXPECT_EQ(by_node(turned, there).edge_pairs, state.edge_pairs);
   const LayoutState here = in_layout(finer->model(), by_node(turned, there));
   EXPECT_EQ(by_node(finer->model(), here).edge_pairs, state.edge_pairs);
-  const std::size_t begin = 4 * std::size_t{turned.ties.candidate_count()};
+  const std::size_t begin = 4 * std::size_t{turned.links.candidate_count()};
   const auto stretch = [&](const LayoutState& of) {
     double sum = 0;  // one pair at least, and all of them point the same way
-    for (std::size_t i = begin; i < of.history.tie_slips.size(); i += view::kEdgeMemory) {
-      sum += of.history.tie_slips[i] + of.history.tie_slips[i + 2];
+    for (std::size_t i = begin; i < of.history.link_slips.size(); i += view::kEdgeMemory) {
+      sum += of.history.link_slips[i] + of.history.link_slips[i + 2];
     }
     return sum;
   };
@@ -352,8 +352,8 @@ TEST_F(EdgePairs, ThatCannotBeAreRefused) {
   EXPECT_REFUSED(check_edge_pairs(m, twice), ErrorCode::kInvalidArgument, "ascend");
   // Two edges of one body.
   std::vector<EdgePair::Edge> of_lower;
-  for (std::uint32_t edge = 0; edge < m.ties.edge_rows.size() / 4; ++edge) {
-    const std::uint32_t* rows = m.ties.edge_rows.data() + 4 * std::size_t{edge};
+  for (std::uint32_t edge = 0; edge < m.links.edge_rows.size() / 4; ++edge) {
+    const std::uint32_t* rows = m.links.edge_rows.data() + 4 * std::size_t{edge};
     const auto [low, high] = std::minmax(m.layout.node_of_row[rows[0]], m.layout.node_of_row[rows[1]]);
     if (m.body_of_node(low) == 0) of_lower.push_back({low, high});
   }

@@ -209,7 +209,7 @@ TEST_F(ARecording, SnapshotsThatWaitHaveABound) {
   EXPECT_EQ(response.edits(0).restore().size(), limits::kMaxRecordedEditBytes + 1);
   EXPECT_EQ(response.edits(0).step(), 5u);
   EXPECT_EQ(response.steps_size(), 1);
-  restore(Recording::kMostEditBytes);
+  restore(Recording::kMaxEditBytes);
   restore(1);
   ASSERT_TRUE(recording.take(response));
   ASSERT_EQ(response.lost_size(), 1);

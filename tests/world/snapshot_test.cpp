@@ -30,8 +30,8 @@ v1::Scene scene_of(const Kind& kind) {
   return scene;
 }
 
-/// Adds a block that lies on the first one and is tied to it, beside the probe.
-void add_ties(v1::Scene& s) {
+/// Adds a block that lies on the first one and is linked to it, beside the probe.
+void add_links(v1::Scene& s) {
   v1::Body& above = *s.add_bodies();
   above = s.bodies(0);
   above.set_name("above");
@@ -78,10 +78,10 @@ const std::vector<Kind>& kinds() {
          s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_BDF2);
          s.mutable_tools(0)->set_contact_method(v1::CONTACT_METHOD_AUGMENTED_LAGRANGIAN);
        }},
-      {"ties", add_ties},
-      {"midpoint_ties",
+      {"links", add_links},
+      {"midpoint_links",
        [](v1::Scene& s) {
-         add_ties(s);
+         add_links(s);
          s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_IMPLICIT_MIDPOINT);
        }},
       // Without friction a contact remembers only on which side of its own surface a node is.
@@ -287,7 +287,7 @@ TEST_F(SnapshotContent, IsChecked) {
     bad.GetReflection()->SetString(&bad, field, "");
     EXPECT_TRUE(loaded->restore(seal_snapshot(bad.SerializeAsString()))) << "an array of zeros is left out";
   }
-  for (const char* array : {"tie_slips", "internal_variables", "broken_springs"}) {
+  for (const char* array : {"link_slips", "internal_variables", "broken_springs"}) {
     SCOPED_TRACE(array);
     bad = good;
     const auto* field = v1::SnapshotState::descriptor()->FindFieldByName(array);
@@ -324,9 +324,9 @@ TEST_F(SnapshotContent, IsChecked) {
 }
 
 TEST_F(SnapshotContent, HasOnlySpringsThatAreBrokenOrNot) {
-  v1::Scene tied = scene_of(kinds()[0]);
-  add_ties(tied);
-  loaded = Runner::start(tied, {BackendChoice::kCpu, 1}).value();
+  v1::Scene linked = scene_of(kinds()[0]);
+  add_links(linked);
+  loaded = Runner::start(linked, {BackendChoice::kCpu, 1}).value();
   v1::SnapshotState content;
   ASSERT_TRUE(content.ParseFromString(loaded->snapshot()->snapshot().substr(32)));
   *content.mutable_broken_springs() = std::string("\1\0\0\1\0", 5);

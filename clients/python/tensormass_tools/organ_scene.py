@@ -43,7 +43,7 @@ def write(path: Path, bodies: Sequence[Body], law: str, source: Source) -> list[
     lines.append("bodies:")
     for body, mesh_path in zip(bodies, meshes, strict=True):
         lines += _body(body, mesh_path, law)
-    lines += _ties(bodies)
+    lines += _links(bodies)
     lines += _probe(bodies)
     lines.append("solver: {cg_tolerance: 0.01}")
     path.write_text("\n".join(lines) + "\n", "utf-8")
@@ -109,7 +109,7 @@ def _body(body: Body, mesh_path: Path, law: str) -> list[str]:
     return lines
 
 
-def _ties(bodies: Sequence[Body]) -> list[str]:
+def _links(bodies: Sequence[Body]) -> list[str]:
     """Connects bodies where they touch: springs against tearing apart, contact against passing through."""
     pairs = [
         (body, other)

@@ -80,7 +80,7 @@ class CpuState final : public SceneState {
                       forces);
     result.min_det_f = read_volume<Real>(model_, result.min_det_f,
                                          {view_.guard.min_det_f, model_.groups.size() * view_.patches.patch_count});
-    solver::read_ties<Real>({view_.ties.reports, view_.ties.count() > 0 ? view_.patches.patch_count : 0}, result);
+    solver::read_links<Real>({view_.links.reports, view_.links.count() > 0 ? view_.patches.patch_count : 0}, result);
     solver::read_balance<Real>({view_.balance.reports, view_.balance.body_count}, result);
     checkpoint_.end(input);
     return result;
@@ -103,7 +103,7 @@ class CpuState final : public SceneState {
     model::for_each_write<Real>(model_, edit.ranges, bound_.buffers, buffers_,
                                 [](void* to, const void* from, std::size_t bytes) { std::memcpy(to, from, bytes); });
     for (const std::uint32_t row : edit.held_rows) hold_row(view_, row);
-    for (const std::uint32_t spring : edit.severed) view_.ties.broken[spring] = 1;
+    for (const std::uint32_t spring : edit.severed) view_.links.broken[spring] = 1;
     for (std::uint32_t i = 0; view_.contact.slips != nullptr && i < slips_of_triangle(view_.contact); ++i) {
       for (const auto& [from, to] : edit.moved_triangles) move_slip(view_.contact, i, from, to);
     }
@@ -119,7 +119,7 @@ class CpuState final : public SceneState {
   }
 
   void read_broken(std::span<std::uint8_t> broken) override {
-    copy_broken(std::span<const Real>(view_.ties.broken, view_.ties.spring_count), broken);
+    copy_broken(std::span<const Real>(view_.links.broken, view_.links.spring_count), broken);
   }
 
   void diagnose(std::span<GroupDiagnostics> groups) override {

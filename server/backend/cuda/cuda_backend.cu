@@ -29,7 +29,7 @@ class CudaBackend final : public Backend {
             matrix::Storage::kRows,
             processors() / scenes_,
             max_nodes,
-            cuda::kMostResidentRows,
+            cuda::kMaxResidentRows,
             cuda::most_kept_rows(properties_),
             [](const matrix::Layout& layout) {
               return cuda::plan_solve(layout).resident ? model::SolveKind::kResident : model::SolveKind::kStreamed;

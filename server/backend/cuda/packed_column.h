@@ -29,7 +29,7 @@ struct ReadColumns {
 /// patches.
 template <class Word>
 struct Neighbour {
-  static constexpr std::uint32_t kServesBoth = 1u << (8 * sizeof(Word) - 1), kMostLocals = kServesBoth;
+  static constexpr std::uint32_t kServesBoth = 1u << (8 * sizeof(Word) - 1), kMaxLocals = kServesBoth;
   TM_HOST_DEVICE static Word of(std::uint32_t local, bool serves_both) {
     return static_cast<Word>(local | (serves_both ? kServesBoth : 0));
   }

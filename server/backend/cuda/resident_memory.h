@@ -20,7 +20,7 @@ namespace tensormass::backend::cuda {
 using view::kSliceRows;
 
 /// Largest number of rows of a patch in resident_solve.
-inline constexpr std::uint32_t kMostResidentRows = 512;
+inline constexpr std::uint32_t kMaxResidentRows = 512;
 
 /// Shared memory of resident_solve [bytes].
 inline constexpr std::size_t kResidentBytesPerRow = 16 + 6 * 4;  // own and halo: direction, L⁻¹
@@ -67,13 +67,13 @@ TM_HOST_DEVICE std::uint32_t least_left(std::uint32_t column_capacity, const Sum
 }
 
 /// Columns of the blocks in registers: two in a word, as offsets into `direction` [bytes].
-inline constexpr std::uint32_t kCellBytes = 16, kMostOffset = 0xFFFF;
+inline constexpr std::uint32_t kCellBytes = 16, kMaxOffset = 0xFFFF;
 /// Returns `word` with the offset of block j, an even one first.
 TM_HOST_DEVICE constexpr std::uint32_t with_offset(std::uint32_t word, int j, std::uint32_t column) {
   return (j % 2 == 0 ? 0 : word) | (column * kCellBytes) << (16 * (j % 2));
 }
 TM_HOST_DEVICE constexpr std::uint32_t offset_of(std::uint32_t word, int j) {
-  return word >> (16 * (j % 2)) & kMostOffset;
+  return word >> (16 * (j % 2)) & kMaxOffset;
 }
 
 }  // namespace tensormass::backend::cuda

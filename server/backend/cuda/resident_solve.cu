@@ -17,7 +17,7 @@ ResidentKernel kernel() {
 std::span<const ResidentKernel> resident_kernels() {
   static const ResidentKernel kernels[] = {kernel<128, 1, 18>(), kernel<256, 1, 18>(), kernel<384, 1, 12>(),
                                            // Two rows a thread: half as many warps must wait for each other.
-                                           kernel<224, 2, 8>(), kernel<kMostResidentRows / 2, 2, 8>()};
+                                           kernel<224, 2, 8>(), kernel<kMaxResidentRows / 2, 2, 8>()};
   return kernels;
 }
 

@@ -186,11 +186,11 @@ class SharedBlocks {
 
 /// Most parts of a slice of a shape.
 template <class Shape>
-inline constexpr std::uint32_t kMostPartsOf = matrix::kAddsInTurns<Shape> ? kMostParts : kMostPartsWithSums;
+inline constexpr std::uint32_t kMaxPartsOf = matrix::kAddsInTurns<Shape> ? kMaxParts : kMaxPartsWithSums;
 
 /// Assembles the rows of a group, one block a slice.
 template <class Shape, class Law, class Real>
-__global__ void __launch_bounds__(kMostPartsOf<Shape>* kWarp)
+__global__ void __launch_bounds__(kMaxPartsOf<Shape>* kWarp)
     assemble_rows(const __grid_constant__ SceneView<Real> s, const __grid_constant__ ElementView<Real> e,
                   std::uint32_t capacity) {
   extern __shared__ float4 shared[];

@@ -48,12 +48,12 @@ TM_HOST_DEVICE constexpr std::uint32_t row_sums_place(std::uint32_t part) { retu
 
 /// Parts of a slice, if each has a sum of its own. Usually two, so that one's reads are hidden by the other's
 /// arithmetic. More if a small scene has too few slices for all multiprocessors.
-inline constexpr std::uint32_t kUsualParts = 2, kMostPartsWithSums = 4;
+inline constexpr std::uint32_t kUsualParts = 2, kMaxPartsWithSums = 4;
 /// Most parts of a slice that have one sum.
-inline constexpr std::uint32_t kMostParts = 8;
-/// Smallest capacity. After the last turn kMostParts parts leave their RowSums where the blocks were
+inline constexpr std::uint32_t kMaxParts = 8;
+/// Smallest capacity. After the last turn kMaxParts parts leave their RowSums where the blocks were
 /// (SharedBlocks::leads).
-inline constexpr std::uint32_t kLeastColumns = (kMostParts * kSumsReals + 8) / 9;
+inline constexpr std::uint32_t kLeastColumns = (kMaxParts * kSumsReals + 8) / 9;
 
 struct RowsLaunch {
   std::uint32_t capacity;  ///< columns that fit into shared memory at once
@@ -79,7 +79,7 @@ RowsLaunch launch_with_sums(std::uint32_t slices, std::uint32_t widest, bool kee
   };
   const std::uint32_t capacity = maximum(kLeastColumns, minimum(widest, room(1)));
   const std::uint32_t wanted = maximum(kUsualParts, kWarpsPerProcessor * processors / maximum(slices, 1u));
-  std::uint32_t parts = minimum(wanted, kMostPartsWithSums);
+  std::uint32_t parts = minimum(wanted, kMaxPartsWithSums);
   while (parts > 1 && room(parts) < capacity) --parts;
   return {capacity, parts * kSliceRows, capacity * bytes_per_column(parts)};
 }
@@ -100,7 +100,7 @@ RowsLaunch launch_in_turns(std::uint32_t slices, std::uint32_t widest, std::uint
   RowsLaunch launch{maximum(kLeastColumns, minimum(widest, room)), kUsualParts * kSliceRows, 0};
   launch.shared_bytes = launch.capacity * kBytesPerColumn;
   const std::uint32_t slices_each = maximum((slices + processors / 2) / processors, 1u);
-  for (std::uint32_t parts = kUsualParts; parts <= kMostParts; parts *= 2) {
+  for (std::uint32_t parts = kUsualParts; parts <= kMaxParts; parts *= 2) {
     const std::uint32_t blocks = blocks_at_once(parts * kSliceRows, launch.shared_bytes);
     if (blocks == 0) break;  // too many threads
     launch.threads = parts * kSliceRows;

@@ -59,7 +59,7 @@ inline SolvePlan plan_solve(const matrix::Layout& layout) {
     return {true, room->whole ? kernel.whole : kernel.partly, kernel.threads, room->bytes, room->column_capacity};
   }
   const StreamedKernels kernels = streamed_kernels();
-  const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : matrix::kMostTileRows;
+  const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : matrix::kMaxTileRows;
   std::size_t most_bytes = allow_all_shared_bytes(kernels.near);
   for (const void* kernel : {kernels.far, kernels.farthest}) {
     most_bytes = std::min(most_bytes, allow_all_shared_bytes(kernel));

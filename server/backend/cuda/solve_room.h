@@ -36,7 +36,7 @@ struct ResidentRoom {
 inline std::optional<ResidentRoom> resident_room(const matrix::Layout& layout, const PatchSizes& most,
                                                  std::uint32_t held, std::size_t most_bytes) {
   const std::size_t vectors = resident_vector_bytes(most.locals, most.halo);
-  if (vectors > most_bytes || most.locals * kCellBytes > kMostOffset) return std::nullopt;
+  if (vectors > most_bytes || most.locals * kCellBytes > kMaxOffset) return std::nullopt;
   std::uint32_t needed = 0;
   for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
     std::uint32_t columns = 0;

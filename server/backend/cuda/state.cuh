@@ -66,14 +66,14 @@ class CudaState final : public SceneState {
         min_det_f_(model.checks_volume() ? model.groups.size() * model.layout.patch_count * volume_parts_ : 0,
                    std::numeric_limits<Real>::infinity()),
         loads_(model.tools.size() * model.layout.patch_count),
-        tie_reports_(model.ties.count() > 0 ? model.layout.patch_count : 0),
+        link_reports_(model.links.count() > 0 ? model.layout.patch_count : 0),
         balance_reports_(model.free_bodies.count()),
         visible_(3 * std::size_t{model.visible.point_count()}),
-        broken_(model.ties.spring_count()),
+        broken_(model.links.spring_count()),
         external_(loads_change(model) ? model.external.size() : 0),
         faces_(loads_change(model) ? model.pressure.faces.size() : 0),
         bound_(model::bind<Real>(model, arena_, exchange())),
-        edits_(model.edit_tables != nullptr || model.ties.spring_count() > 0),
+        edits_(model.edit_tables != nullptr || model.links.spring_count() > 0),
         load_factors_(model) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) {
       groups_.push_back(model::bind<Real>(model, g, arena_, &buffers_.emplace_back()));
@@ -128,7 +128,7 @@ class CudaState final : public SceneState {
     read_forces<Real>(loads_.span(), forces);
     if (!model_.iterates()) result = this->result();
     result.min_det_f = read_volume<Real>(model_, result.min_det_f, min_det_f_.span());
-    solver::read_ties<Real>(tie_reports_.span(), result);
+    solver::read_links<Real>(link_reports_.span(), result);
     solver::read_balance<Real>(balance_reports_.span(), result);
     checkpoint_.end(input);
     return result;
@@ -158,7 +158,7 @@ class CudaState final : public SceneState {
     const auto write = [&](void* to, const void* from, std::size_t bytes) { edits_.write(to, from, bytes, stream()); };
     model::for_each_write<Real>(model_, edit.ranges, bound_.buffers, buffers_, write);
     const Real broken = 1;
-    for (const std::uint32_t spring : edit.severed) write(view_.ties.broken + spring, &broken, sizeof broken);
+    for (const std::uint32_t spring : edit.severed) write(view_.links.broken + spring, &broken, sizeof broken);
     edits_.end(stream());
     edits_.with_numbers(edit.held_rows.data(), edit.held_rows.size(), 1, stream(),
                         [&](const std::uint32_t* rows, std::uint32_t count) {
@@ -191,7 +191,7 @@ class CudaState final : public SceneState {
 
   void read_broken(std::span<std::uint8_t> broken) override {
     if (broken.empty()) return;
-    download_pinned(broken_, view_.ties.broken);
+    download_pinned(broken_, view_.links.broken);
     wait("broken springs");
     copy_broken(std::span<const Real>(broken_.span()), broken);
   }
@@ -277,14 +277,14 @@ class CudaState final : public SceneState {
   /// Blocks of a patch in the stages that reduce in parts. Enough that each thread has few elements, but few, because
   /// each block reports a number.
   static std::uint32_t parts_of(const model::Model& model) {
-    constexpr std::uint32_t kMostParts = 8, kItemsOfThread = 2;
+    constexpr std::uint32_t kMaxParts = 8, kItemsOfThread = 2;
     std::uint32_t most = 0;
     for (const model::ElementGroup& group : model.groups) {
       if (!group.checks_volume || group.solve_checks_volume) continue;
       most = std::max(most, group.element_count * std::min(group.point_count, step::kThreadsOfPoints));
     }
     const std::uint32_t of_part = model.layout.patch_count * kStageThreads * kItemsOfThread;
-    return std::clamp((most + of_part - 1) / of_part, 1u, kMostParts);
+    return std::clamp((most + of_part - 1) / of_part, 1u, kMaxParts);
   }
 
   /// Buffers that a step reports to, in host memory: a few numbers a patch, and no copy after the last kernel.
@@ -298,7 +298,7 @@ class CudaState final : public SceneState {
             .diagnostics = diagnostics_.data(),
             .min_det_f = min_det_f_.data(),
             .tool_loads = loads_.data(),
-            .tie_reports = tie_reports_.data(),
+            .link_reports = link_reports_.data(),
             .balance_reports = balance_reports_.data()};
   }
 
@@ -437,7 +437,7 @@ class CudaState final : public SceneState {
   const std::uint32_t volume_parts_;  // blocks of a patch in the stages that reduce in parts
   Pinned<Real> min_det_f_;
   Pinned<view::ToolLoad<Real>> loads_;
-  Pinned<view::TieReport<Real>> tie_reports_;
+  Pinned<view::LinkReport<Real>> link_reports_;
   Pinned<view::BalanceReport<Real>> balance_reports_;
   Pinned<float> visible_;
   Pinned<Real> broken_;                     // [spring_count]

@@ -58,7 +58,7 @@ __global__ void __launch_bounds__(Threads, 1)
   const view::Patch patch = view::patch_of(s.patches, blockIdx.x);
   const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
   const std::uint32_t thread = threadIdx.x, lane = thread % kWarp, warp = thread / kWarp;
-  const std::uint32_t tile_rows = s.matrix.tile_rows != 0 ? s.matrix.tile_rows : matrix::kMostTileRows;
+  const std::uint32_t tile_rows = s.matrix.tile_rows != 0 ? s.matrix.tile_rows : matrix::kMaxTileRows;
 
   constexpr std::uint32_t kWarps = Threads / kWarp;
   static_assert(kWarps == matrix::kTilesAtOnce);

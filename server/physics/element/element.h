@@ -107,13 +107,13 @@ struct PointGradients {
 
 enum class Stiffness {
   kConsistent,  ///< the exact derivative of the forces
-  kPositive,    ///< projected to positive semi-definite, for the solver
+  kProjected,   ///< projected to positive semi-definite, for the solver
 };
 
 /// Adds the contribution of one quadrature point to all forces and edge blocks of its element.
 ///
 ///   gradients   the point's shape gradients and weight
-///   f, point    deformation gradient, and Law::at(f); the point is projected if kind is kPositive
+///   f, point    deformation gradient, and Law::at(f); the point is projected if kind is kProjected
 ///   viscous     the point's viscoelastic part; nullptr for an elastic law
 ///   first       true for the element's first point: assigns instead of adding
 ///   out         ElementTensors, or any type with its members
@@ -123,14 +123,14 @@ template <class Shape, class Law, class T, class Out>
 TM_HOST_DEVICE void add_point(const PointGradients<Shape, T>& gradients, const Mat3<T>& f,
                               typename Law::template Point<T>& point, std::type_identity_t<const Viscous<T>*> viscous,
                               Stiffness kind, bool first, Out& out) {
-  if (kind == Stiffness::kPositive) Law::project_to_psd(point);
+  if (kind == Stiffness::kProjected) Law::project_to_psd(point);
   Mat3<T> stress = Law::stress(point);
   T instant = gradients.weight;
   Mat3<T> memory;
   if (viscous != nullptr) {
     stress = viscous->template stress<Law>(f, stress);
     instant *= viscous->instant;
-    memory = viscous->template geometric<Law>(kind == Stiffness::kPositive) * gradients.weight;
+    memory = viscous->template geometric<Law>(kind == Stiffness::kProjected) * gradients.weight;
   }
   typename Law::template Node<T> nodes[Shape::kNodes];
   TM_UNROLL_ALL
@@ -214,7 +214,7 @@ struct NodeTensors {
 
 /// Adds the contribution of one quadrature point to the row of one node. `complete` must follow the last point.
 ///
-///   point   Law::at(f), projected by the caller if kind is kPositive
+///   point   Law::at(f), projected by the caller if kind is kProjected
 ///
 /// The other parameters are those of add_point.
 template <class Shape, class Law, class T>
@@ -229,7 +229,7 @@ TM_HOST_DEVICE void add_point_to_node(const NodeGradients<Shape, T>& gradients, 
   Vec3<T> remembered;
   if (viscous != nullptr) {
     force += viscous->template relief<Law>(f, own);
-    remembered = viscous->template geometric<Law>(kind == Stiffness::kPositive) * own;
+    remembered = viscous->template geometric<Law>(kind == Stiffness::kProjected) * own;
   }
   if constexpr (Shape::kSinglePoint) {
     out.force = force;

@@ -17,10 +17,10 @@ from tensormass._shared.vectors import Vector, vector3
 from tensormass._src import findings, mesh_files, mesh_units, meshes, node_conditions, notebook, textures
 from tensormass._src.elastic_constants import young_poisson
 from tensormass._src.laws import DEFAULT_LAW, LAWS, LIVER, law_message
+from tensormass._src.links import Nodes, make_attachment, make_contact
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.solver_settings import Integrator, OnFault, Precision, set_fields
-from tensormass._src.ties import Nodes, make_attachment, make_contact
 from tensormass._src.tools import make_tool
 from tensormass.v1 import scene_pb2
 

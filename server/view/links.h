@@ -4,8 +4,8 @@
 
 #include "core/scalar.h"
 
-/// Ties: springs between a node and a point of a triangle, or another node, or between points of two edges. Contact
-/// between bodies and attachments are made of ties (contact/ties.h). In a scene without them all pointers are nullptr
+/// Links: springs between a node and a point of a triangle, or another node, or between points of two edges. Contact
+/// between bodies and attachments are made of links (contact/links.h). In a scene without them all pointers are nullptr
 /// and all counts zero.
 namespace tensormass::view {
 
@@ -15,17 +15,17 @@ inline constexpr std::uint32_t kNoEntry = 0xFFFFFFFFu;
 inline constexpr std::uint32_t kLeafTriangles = 16;
 inline constexpr std::uint32_t kGroupLeaves = 16;
 
-/// One tie in this step. The force on its node, after a motion d of the four rows until the end of the step, is
+/// One link in this step. The force on its node, after a motion d of the four rows until the end of the step, is
 /// force − S Σ weight · d with S = stiffness n nᵀ + across (I − n nᵀ). The corners receive it in proportion to their
 /// weights.
 template <class Real>
-struct Tie {
+struct Link {
   // The node, then the corners of the triangle, or the other node. Of two edges: the ends of each.
   std::uint32_t rows[4];
   Real weight[4];  // 1, then minus the barycentric coordinates: they add up to zero. Zero: no such corner
   Real normal[3];  // n
   Real force[3];   // [N]
-  Real stiffness;  // [N/m]; zero: the tie does nothing in this step
+  Real stiffness;  // [N/m]; zero: the link does nothing in this step
   Real across;     // [N/m]; of a contact without stiffness: contact::NodeSide
 };
 
@@ -35,9 +35,9 @@ struct AxisBox {
   Real least[3], most[3];
 };
 
-/// What the ties of a patch did in the last step.
+/// What the links of a patch did in the last step.
 template <class Real>
-struct TieReport {
+struct LinkReport {
   Real contacts;   // nodes that touch a surface, and pairs of edges that touch
   Real deepest_m;  // largest penetration
   Real broken;     // springs that have broken so far
@@ -45,7 +45,7 @@ struct TieReport {
   Real changed_n;  // sum of what they changed by
 };
 
-/// Numbers of a side in TiesView::side_numbers.
+/// Numbers of a side in LinksView::side_numbers.
 /// kSidePenalty: as the scene gives it; else kSidePenaltyPerM times the smaller of two moduli. The other of them is 0.
 enum SideNumber : std::uint32_t {
   kSidePenalty,
@@ -90,19 +90,19 @@ struct EdgesView {
   const std::uint32_t* patch_candidates;  // [patch_count + 1]
   const std::uint32_t* candidates;        // [candidate_count, 2] edge, side
 
-  std::uint32_t* partners;  // [candidate_count, kEdgeSlots] other edge of each tie of this step
-  Real* memory;             // [candidate_count, kEdgeSlots, kEdgeMemory] a part of TiesView::slips
+  std::uint32_t* partners;  // [candidate_count, kEdgeSlots] other edge of each link of this step
+  Real* memory;             // [candidate_count, kEdgeSlots, kEdgeMemory] a part of LinksView::slips
   Real* checkpoint_memory;
 
   TM_HOST_DEVICE std::uint32_t slot_count() const { return candidate_count * kEdgeSlots; }
 };
 
 template <class Real>
-struct TiesView {
+struct LinksView {
   std::uint32_t candidate_count;  // nodes that may touch a surface
   std::uint32_t spring_count;
 
-  // Rows that a tie may have, grouped by patch.
+  // Rows that a link may have, grouped by patch.
   const std::uint32_t* patch_rows;  // [patch_count + 1] into rows
   const std::uint32_t* rows;
   const std::uint32_t* row_place;  // [row_count] place of a row's own vector among those stored patch by patch
@@ -133,15 +133,15 @@ struct TiesView {
 
   EdgesView<Real> edges;
 
-  // The ties of this step: those of the candidates, then the springs, then the slots of edges.
-  Tie<Real>* ties;      // [count()]
-  std::uint32_t* head;  // [row_count] first entry of a row, or kNoEntry. Entry 4 t + r is row r of tie t
+  // The links of this step: those of the candidates, then the springs, then the slots of edges.
+  Link<Real>* links;    // [count()]
+  std::uint32_t* head;  // [row_count] first entry of a row, or kNoEntry. Entry 4 t + r is row r of link t
   std::uint32_t* next;  // [4 count()] next entry of the same row, or kNoEntry
 
-  TieReport<Real>* reports;  // [patch_count]
+  LinkReport<Real>* reports;  // [patch_count]
 
-  TM_HOST_DEVICE std::uint32_t first_edge_tie() const { return candidate_count + spring_count; }
-  TM_HOST_DEVICE std::uint32_t count() const { return first_edge_tie() + edges.slot_count(); }
+  TM_HOST_DEVICE std::uint32_t first_edge_link() const { return candidate_count + spring_count; }
+  TM_HOST_DEVICE std::uint32_t count() const { return first_edge_link() + edges.slot_count(); }
 };
 
 }  // namespace tensormass::view

@@ -30,7 +30,7 @@ def test_bodies_touch_only_where_the_scene_says_so(server: tm.Server) -> None:
         if touches:
             scene.add_body_contact("above", body, friction_coefficient=0.5)
         report = server.inspect(scene)
-        assert touches == any(stage.name == "find ties" for stage in report.stages)
+        assert touches == any(stage.name == "find links" for stage in report.stages)
         assert touches == (not any(text.startswith("contact between bodies") for text in report.not_modelled))
         with server.load(scene, name="touch", lockstep=True) as handle:
             status = handle.step(60)

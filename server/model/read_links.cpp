@@ -20,16 +20,16 @@ namespace {
 
 /// Contact pressure per depth, unless the scene gives it: this factor times E / edge, with E of the softer of the two
 /// elements that touch. A tool's is twice as large, because a tool has no compliance of its own.
-constexpr double kDefaultTiePenalty = 10;
+constexpr double kDefaultLinkPenalty = 10;
 /// Distance at which surfaces begin to push each other, unless the scene gives it, as a part of the mean edge.
 constexpr double kDefaultDistanceInEdges = 0.1;
 
-class TieReader {
+class LinkReader {
  public:
-  TieReader(const v1::Scene& scene, const ReadBodies& all, BodyBoundaries& boundaries)
+  LinkReader(const v1::Scene& scene, const ReadBodies& all, BodyBoundaries& boundaries)
       : scene_(scene), all_(all), bodies_(all.bodies), boundaries_(boundaries) {}
 
-  Result<ReadTies> read() {
+  Result<ReadLinks> read() {
     TM_RETURN_IF_ERROR(
         check_count(scene_.body_contacts_size(), limits::kMaxBodyContacts, "body_contacts", "kMaxBodyContacts"));
     TM_RETURN_IF_ERROR(
@@ -80,7 +80,7 @@ class TieReader {
                                                where + ".penalty_stiffness_pa_per_m"));
       out.penalty_pa_per_m = penalty;
     } else {
-      out.penalty_per_m = kDefaultTiePenalty / largest_m;
+      out.penalty_per_m = kDefaultLinkPenalty / largest_m;
     }
     TM_ASSIGN_OR_RETURN(friction, read_number(contact.friction_coefficient(), 0, limits::kMaxFriction,
                                               where + ".friction_coefficient"));
@@ -154,7 +154,7 @@ class TieReader {
   const ReadBodies& all_;
   const std::vector<ReadBody>& bodies_;
   BodyBoundaries& boundaries_;
-  ReadTies out_;
+  ReadLinks out_;
   std::set<std::pair<std::size_t, std::size_t>> pairs_;
   std::set<std::string> names_;
 };
@@ -172,8 +172,8 @@ double BodyBoundaries::mean_edge_m(std::size_t body) {
   return sum_m / (3 * static_cast<double>(surface.triangles.size()));
 }
 
-Result<ReadTies> read_ties(const v1::Scene& scene, const ReadBodies& bodies, BodyBoundaries& boundaries) {
-  return TieReader(scene, bodies, boundaries).read();
+Result<ReadLinks> read_links(const v1::Scene& scene, const ReadBodies& bodies, BodyBoundaries& boundaries) {
+  return LinkReader(scene, bodies, boundaries).read();
 }
 
 }  // namespace tensormass::model

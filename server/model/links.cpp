@@ -7,7 +7,7 @@
 #include "mesh/partition.h"
 #include "model/compile_parts.h"
 
-/// Makes the tables of ties (view/ties.h) from contacts between bodies and attachments.
+/// Makes the tables of links (view/links.h) from contacts between bodies and attachments.
 namespace tensormass::model {
 
 namespace {
@@ -17,14 +17,14 @@ constexpr double kSharpTurnCosine = 0.7;
 /// Cosine of the angle up to which an edge continues the ridge of another.
 constexpr double kRidgeCosine = 0.7;
 
-class TieMaker {
+class LinkMaker {
  public:
-  explicit TieMaker(const TieInput& input) : in_(input), layout_(input.layout) {}
+  explicit LinkMaker(const LinkInput& input) : in_(input), layout_(input.layout) {}
 
-  Ties make() {
-    if (!in_.ties.contacts.empty()) {
+  Links make() {
+    if (!in_.links.contacts.empty()) {
       find_surfaces();
-      for (const BodyContactModel& contact : in_.ties.contacts) {
+      for (const BodyContactModel& contact : in_.links.contacts) {
         const auto side = static_cast<std::uint32_t>(out_.side_groups.size() / 3);
         add_side(contact, contact.body, contact.other);
         if (contact.body == contact.other) continue;
@@ -78,7 +78,7 @@ class TieMaker {
         vertex_modulus_[vertex] += contact.triangle_area[t] / 3 * contact.triangle_moduli[2 * std::size_t{t}];
       }
     }
-    for (const BodyContactModel& pair : in_.ties.contacts) {
+    for (const BodyContactModel& pair : in_.links.contacts) {
       for (const std::size_t body : {pair.body, pair.other}) {
         if (surfaces_[body].groups[1] == 0) add_boxes(surfaces_[body]);
       }
@@ -246,7 +246,7 @@ class TieMaker {
 
   void store_springs() {
     std::vector<Spring> springs;
-    for (const ReadAttachment& attachment : in_.ties.attachments) {
+    for (const ReadAttachment& attachment : in_.links.attachments) {
       for (const auto& [node, other] : attachment.springs) {
         const double length_m = (in_.bodies.merged.nodes[node] - in_.bodies.merged.nodes[other]).norm();
         springs.push_back({layout_.row_of_node[node],
@@ -266,28 +266,28 @@ class TieMaker {
   }
 
   void store_rows() {
-    std::vector<bool> tied(layout_.row_count, false);
-    for (const BodyContactModel& pair : in_.ties.contacts) {
+    std::vector<bool> linked(layout_.row_count, false);
+    for (const BodyContactModel& pair : in_.links.contacts) {
       for (const std::size_t body : {pair.body, pair.other}) {
-        for (const std::uint32_t vertex : surfaces_[body].vertices) tied[in_.contact.surface_rows[vertex]] = true;
+        for (const std::uint32_t vertex : surfaces_[body].vertices) linked[in_.contact.surface_rows[vertex]] = true;
       }
     }
-    for (const std::uint32_t row : out_.spring_rows) tied[row] = true;
+    for (const std::uint32_t row : out_.spring_rows) linked[row] = true;
     out_.patch_rows.assign(layout_.patch_count + 1, 0);
     out_.row_place.resize(layout_.row_count);
     for (std::uint32_t row = 0; row < layout_.row_count; ++row) {
       const std::uint32_t patch = layout_.patch_of_row(row);
       out_.row_place[row] = row + layout_.patch_halo[patch];  // view::Patch::local_begin
-      if (!tied[row]) continue;
+      if (!linked[row]) continue;
       out_.rows.push_back(row);
       ++out_.patch_rows[patch + 1];
     }
     std::partial_sum(out_.patch_rows.begin(), out_.patch_rows.end(), out_.patch_rows.begin());
   }
 
-  const TieInput& in_;
+  const LinkInput& in_;
   const matrix::Layout& layout_;
-  Ties out_;
+  Links out_;
   std::vector<Surface> surfaces_;       // [body]
   std::vector<double> vertex_area_;     // [surface vertex]
   std::vector<double> vertex_modulus_;  // [surface vertex] E times area, summed
@@ -297,6 +297,6 @@ class TieMaker {
 
 }  // namespace
 
-Ties make_ties(const TieInput& input) { return TieMaker(input).make(); }
+Links make_links(const LinkInput& input) { return LinkMaker(input).make(); }
 
 }  // namespace tensormass::model

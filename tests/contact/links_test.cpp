@@ -1,4 +1,4 @@
-#include "contact/ties.h"
+#include "contact/links.h"
 
 #include <algorithm>
 #include <cmath>
@@ -42,7 +42,7 @@ v1::Body& add_cube(v1::Scene& scene, const std::string& name, const Vec3<double>
 /// A scene without bodies whose solves are exact.
 v1::Scene empty_scene(double dt_s) {
   v1::Scene scene = tests::beam_scene({.double_precision = true, .dt_s = dt_s, .cg_max_iterations = 2000});
-  scene.set_name("ties");
+  scene.set_name("links");
   scene.clear_bodies();
   scene.clear_gravity_m_per_s2();
   scene.mutable_solver()->set_cg_tolerance(1e-10);
@@ -380,9 +380,9 @@ v1::Scene overlapping() {
 
 using tests::StagedScene;
 
-/// Solves with ties, and compares with the dense matrix of the same system: that of the tissue with its diagonal, and
-/// the blocks of each tie between its rows.
-TEST(Ties, SolveTheSystemWithTheirBlocksBetweenBodies) {
+/// Solves with links, and compares with the dense matrix of the same system: that of the tissue with its diagonal, and
+/// the blocks of each link between its rows.
+TEST(Links, SolveTheSystemWithTheirBlocksBetweenBodies) {
   for (const matrix::Storage storage : {matrix::Storage::kEdges, matrix::Storage::kRows}) {
     StagedScene<double> staged(overlapping(), 3, storage);
     staged.put(staged.view.state.velocity, tests::random_field(3 * staged.node_count(), 0.1, 5));
@@ -391,21 +391,21 @@ TEST(Ties, SolveTheSystemWithTheirBlocksBetweenBodies) {
     staged.run_through(step::StageKind::kMeasureResidual);
     Eigen::MatrixXd a = staged.matrix();
     const Eigen::VectorXd b = staged.by_node(staged.view.matrix.rhs);
-    const view::TiesView<double>& ties = staged.view.ties;
+    const view::LinksView<double>& links = staged.view.links;
     int active = 0;
-    for (std::uint32_t t = 0; t < ties.count(); ++t) {
-      const view::Tie<double>& tie = ties.ties[t];
-      if (!(tie.stiffness > 0)) continue;
+    for (std::uint32_t t = 0; t < links.count(); ++t) {
+      const view::Link<double>& link = links.links[t];
+      if (!(link.stiffness > 0)) continue;
       ++active;
-      const Vec3<double> n(tie.normal[0], tie.normal[1], tie.normal[2]);
+      const Vec3<double> n(link.normal[0], link.normal[1], link.normal[2]);
       const Mat3<double> s =
-          tie.across * (Mat3<double>::Identity() - n * n.transpose()) + tie.stiffness * n * n.transpose();
+          link.across * (Mat3<double>::Identity() - n * n.transpose()) + link.stiffness * n * n.transpose();
       for (int r = 0; r < 4; ++r) {
         for (int q = 0; q < 4; ++q) {
-          if (q == r || tie.weight[q] == 0 || tie.weight[r] == 0) continue;
-          a.block<3, 3>(3 * staged.model.layout.node_of_row[tie.rows[r]],
-                        3 * staged.model.layout.node_of_row[tie.rows[q]]) +=
-              1e-4 * tie.weight[r] * tie.weight[q] * s;  // h²
+          if (q == r || link.weight[q] == 0 || link.weight[r] == 0) continue;
+          a.block<3, 3>(3 * staged.model.layout.node_of_row[link.rows[r]],
+                        3 * staged.model.layout.node_of_row[link.rows[q]]) +=
+              1e-4 * link.weight[r] * link.weight[q] * s;  // h²
         }
       }
     }
@@ -436,17 +436,17 @@ TEST(Ties, SolveTheSystemWithTheirBlocksBetweenBodies) {
 }
 
 /// The brute-force nearest triangle of every node is what the boxes find.
-TEST(Ties, FindTheNearestTriangle) {
+TEST(Links, FindTheNearestTriangle) {
   StagedScene<double> staged(overlapping(), 3);
   staged.put(staged.view.state.displacement, tests::random_field(3 * staged.node_count(), 0.004, 7));
-  staged.run(step::StageKind::kBeginTies);
+  staged.run(step::StageKind::kBeginLinks);
   const auto& s = staged.view;
   int found = 0;
-  for (std::uint32_t i = 0; i < s.ties.candidate_count; ++i) {
-    const std::uint32_t vertex = s.ties.candidates[2 * i], row = s.contact.surface_rows[vertex];
+  for (std::uint32_t i = 0; i < s.links.candidate_count; ++i) {
+    const std::uint32_t vertex = s.links.candidates[2 * i], row = s.contact.surface_rows[vertex];
     constexpr double kReach = 0.04;
-    const auto nearest = nearest_points(s.state, s.contact, s.ties, vertex,
-                                        s.ties.side_groups + 3 * s.ties.candidates[2 * i + 1], kReach);
+    const auto nearest = nearest_points(s.state, s.contact, s.links, vertex,
+                                        s.links.side_groups + 3 * s.links.candidates[2 * i + 1], kReach);
     const bool of_lower = staged.model.layout.node_of_row[row] < staged.model.bodies[1].node_begin;
     double best = kReach * kReach;
     std::uint32_t triangle = view::kNoTriangle;

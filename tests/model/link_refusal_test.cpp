@@ -22,7 +22,7 @@ v1::Attachment& attachment(v1::Scene& scene) {
   return attachment;
 }
 
-std::vector<Refusal> tie_refusals() {
+std::vector<Refusal> link_refusals() {
   return {
       {"ContactOfNoBody",
        [](auto& s) { contact(s).set_body("lung"); },
@@ -79,11 +79,11 @@ std::vector<Refusal> tie_refusals() {
   };
 }
 
-class RefusedTies : public testing::TestWithParam<Refusal> {};
+class RefusedLinks : public testing::TestWithParam<Refusal> {};
 
-TEST_P(RefusedTies, WithItsPlaceAndItsReason) { expect_refused(GetParam()); }
+TEST_P(RefusedLinks, WithItsPlaceAndItsReason) { expect_refused(GetParam()); }
 
-INSTANTIATE_TEST_SUITE_P(Scenes, RefusedTies, testing::ValuesIn(tie_refusals()),
+INSTANTIATE_TEST_SUITE_P(Scenes, RefusedLinks, testing::ValuesIn(link_refusals()),
                          [](const auto& one) { return one.param.name; });
 
 /// Findings about two blocks of 100 mm in contact. The second one begins at this height; surfaces push each other from
