@@ -218,6 +218,12 @@ struct VisibleAttachment {
   double stiffness_n_per_m = 0, breaking_force_n = 0;
 };
 
+/// A node or an element that a cut has copied; both are numbered in the body.
+struct CutCopy {
+  std::uint32_t loaded;  ///< the one of the mesh
+  std::uint32_t parent;  ///< the one it was split from: it starts with that one's state
+};
+
 /// A body as its scene describes it, after its mesh was admitted.
 struct AdmittedBody {
   std::string name;
@@ -228,6 +234,11 @@ struct AdmittedBody {
   double ablation_j_per_m3 = 0;  ///< energy that takes the material out of a volume
   bool has_color = false;
   Vec3<double> color_srgb = Vec3<double>::Zero();
+
+  /// Nodes and elements as loaded are the first ones. The others are copies that cuts made (cut_bodies.h).
+  std::uint32_t loaded_node_count = 0, loaded_element_count = 0;
+  std::vector<CutCopy> node_copies;     ///< [node_count − loaded_node_count] virtual nodes
+  std::vector<CutCopy> element_copies;  ///< [element_count − loaded_element_count] further parts of split elements
 
   bool has_node(std::uint32_t node) const { return node - node_begin < node_count; }
   bool has_element(std::uint32_t element) const { return element - element_begin < element_count; }

@@ -139,9 +139,9 @@ Result<void> read_body(const v1::Scene& scene, const Progress& progress, ReadBod
   out.name = body.name();
   out.ablation_j_per_m3 = ablation_j_per_m3;
   out.node_begin = static_cast<std::uint32_t>(all.merged.nodes.size());
-  out.node_count = report.node_count;
+  out.node_count = out.loaded_node_count = report.node_count;
   out.element_begin = mesh::element_count(all.merged);
-  out.element_count = report.element_count;
+  out.element_count = out.loaded_element_count = report.element_count;
   out.component_count = report.component_count;
   out.volume_m3 = report.volume_m3;
   out.mass_kg = report.volume_m3 * density;
