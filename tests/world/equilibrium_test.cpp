@@ -51,6 +51,18 @@ TEST_P(Equilibrium, ALoadThatFailsAtOnceIsReachedInParts) {
   EXPECT_NEAR(lowest(*at_once), reached, 1e-4);
 }
 
+/// A phase of a step without a stage, as the end of one without tools, must not leave a thread behind: it would take
+/// the next command for this one. More threads than cores make that likely.
+TEST_P(Equilibrium, EndsWithAllItsThreads) {
+  v1::Scene scene = bent_bar(1, "hooke");
+  scene.mutable_solver()->set_cpu_threads(8);
+  for (int i = 0; i < 40; ++i) {
+    const auto world = start(scene);
+    ASSERT_TRUE(world->step(false));
+    ASSERT_TRUE(world->step(false));
+  }
+}
+
 TEST_P(Equilibrium, AfterAResetTheLoadGrowsAgain) {
   const auto world = start(bent_bar(60));
   ASSERT_TRUE(world->step(false));

@@ -38,6 +38,7 @@ class CpuState final : public SceneState {
         bound_(model::bind<Real>(model, arena_)),
         barrier_(view_.patches.patch_count),
         load_factors_(model) {
+    for (const step::Stage& stage : stages_) phases_ |= command(stage.info->phase);
     for (std::size_t g = 0; g < model.groups.size(); ++g) {
       groups_.push_back(model::bind<Real>(model, g, arena_, &buffers_.emplace_back()));
       passes_.push_back(cpu::element_passes<Real>(model.groups[g].shape, model.groups[g].law));
@@ -174,8 +175,11 @@ class CpuState final : public SceneState {
                                         command(step::Phase::kSolve) | command(step::Phase::kEnd);
 
   void run(step::Phase phase) { run_team(command(phase)); }
-  /// The calling thread is patch 0. A barrier starts the team and one ends it.
+  /// The calling thread is patch 0. A barrier starts the team and one ends each stage. Without a stage there would be
+  /// none after the first, and the caller could write its next command before a worker has read this one.
   void run_team(Command what) {
+    what &= phases_;
+    if (what == 0) return;
     command_ = what;
     barrier_.arrive_and_wait();
     run_patch(0, what);
@@ -229,6 +233,7 @@ class CpuState final : public SceneState {
   std::vector<cpu::ElementPasses<Real>> passes_;
   cpu::Barrier barrier_;
   Command command_ = 0;
+  Command phases_ = 0;  // that have stages
   Checkpoint<Real> checkpoint_;
   LoadFactors load_factors_;
   std::atomic<Gate> gate_{Gate::kClosed};
