@@ -357,11 +357,9 @@ grpc::Status ControlService::RestoreScene(grpc::ServerContext* context, const v1
 grpc::Status ControlService::EditScene(grpc::ServerContext* context, const v1::EditSceneRequest* request,
                                        v1::EditSceneResponse* response) {
   if (const grpc::Status allowed = permit(context, "EditScene", request->scene()); !allowed.ok()) return allowed;
-  const CallShare::Place place(reset_calls_);
+  const CallShare::Place place(request->edit().cuts().empty() ? reset_calls_ : long_calls_);
   if (!place) return place.refusal();
-  return answer(
-      registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) { return runner->edit(request->edit()); }),
-      response->mutable_status());
+  return answer(registry_.edit(request->scene(), request->edit()), response->mutable_status());
 }
 
 grpc::Status ControlService::AdjustScene(grpc::ServerContext* context, const v1::AdjustSceneRequest* request,

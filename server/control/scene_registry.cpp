@@ -95,6 +95,12 @@ Result<v1::AdjustSceneResponse> SceneRegistry::adjust(std::string_view name, con
   return admitted(runner, [&] { return runner->adjust(changes); });
 }
 
+Result<v1::SceneStatus> SceneRegistry::edit(std::string_view name, const v1::SceneEdit& edit) {
+  TM_ASSIGN_OR_RETURN(runner, find(name));
+  const auto change = [&] { return runner->edit(edit); };
+  return edit.cuts().empty() ? change() : admitted(runner, change);
+}
+
 Result<v1::ReplaySceneResponse> SceneRegistry::replay(const v1::ReplaySceneRequest& request) {
   TM_ASSIGN_OR_RETURN(runner, find(request.scene()));
   const auto adjusts = [](const v1::RecordedEdit& edit) { return edit.has_adjust(); };

@@ -82,6 +82,9 @@ class SceneRegistry {
   /// Changes values of a scene that steps. The scene is compiled again beside itself, so it needs as much as a load and
   /// is admitted like one. Fails with kNotFound, kResourceExhausted, and the errors of world::Runner::adjust.
   Result<v1::AdjustSceneResponse> adjust(std::string_view name, const v1::SceneAdjustments& changes);
+  /// Edits a scene between two steps. A cut compiles it again, as an adjustment does. Fails with kNotFound,
+  /// kResourceExhausted, and the errors of world::Runner::edit.
+  Result<v1::SceneStatus> edit(std::string_view name, const v1::SceneEdit& edit);
   /// Makes recorded steps again; a recording with adjustments is admitted as they are. Fails with kNotFound,
   /// kResourceExhausted, and the errors of world::Runner::replay.
   Result<v1::ReplaySceneResponse> replay(const v1::ReplaySceneRequest& request);

@@ -82,9 +82,11 @@ std::vector<Triangle> face_triangles(const FaceNodes& nodes) {
   return triangles;
 }
 
-Surface boundary(const Mesh& mesh) {
+Surface boundary(const Mesh& mesh) { return surface_of(mesh, boundary_faces(mesh)); }
+
+Surface surface_of(const Mesh& mesh, std::span<const BoundaryFace> faces) {
   Surface surface;
-  for (const BoundaryFace& face : boundary_faces(mesh)) {
+  for (const BoundaryFace& face : faces) {
     const FaceNodes& nodes = face.nodes;
     for_each_triangle(face, [&](std::uint32_t i, std::uint32_t j, std::uint32_t k) {
       surface.triangles.push_back({nodes[i], nodes[j], nodes[k]});

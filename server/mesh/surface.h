@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "mesh/adjacency.h"
@@ -36,6 +37,8 @@ struct Surface {
 /// Returns the triangles of a face, in the order of its nodes. Numbers: mesh nodes, outward winding.
 std::vector<Triangle> face_triangles(const FaceNodes& nodes);
 
+/// Returns faces as triangles, in their order. faces: of elements in ascending order
+Surface surface_of(const Mesh& mesh, std::span<const BoundaryFace> faces);
 /// Returns the boundary as triangles, in the order of `boundary_faces`.
 Surface boundary(const Mesh& mesh);
 

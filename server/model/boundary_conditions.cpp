@@ -167,6 +167,9 @@ class BoundaryReader {
       if (load.kind_case() == v1::Load::KIND_NOT_SET) {
         return invalid(fmt::format("{}: no load; give force_n, traction_pa or pressure_pa", at));
       }
+      if (bodies_[b].cut != nullptr) {
+        return invalid(fmt::format("{}: a body with loads on its surface cannot be cut yet; give force_n", at));
+      }
       if (faces.empty()) faces = mesh::boundary_faces(bodies_[b].mesh);
       const std::set<std::uint32_t> chosen(nodes.begin(), nodes.end());
       std::vector<mesh::FaceNodes> loaded;
@@ -247,7 +250,7 @@ class BoundaryReader {
     if (bytes.empty()) return {};
     TM_ASSIGN_OR_RETURN(values, read_reals(bytes, 3, where));
     const std::vector<mesh::EdgeEnds>& middle_of = bodies_[b].middle_of;
-    const std::size_t node_count = bodies_[b].node_count, own_count = node_count - middle_of.size();
+    const std::size_t node_count = bodies_[b].loaded_node_count, own_count = node_count - middle_of.size();
     if (values.size() == 3 * own_count) {
       interpolate(values, b);
     } else if (values.size() != 3 * node_count) {

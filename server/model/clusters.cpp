@@ -10,6 +10,7 @@
 #include "core/finding_kinds.h"
 #include "mesh/adjacency.h"
 #include "mesh/shapes.h"
+#include "model/cut_bodies.h"
 #include "model/tetrahedron_rings.h"
 #include "model/wedge_pairs.h"
 
@@ -67,7 +68,7 @@ class ClusterFiller {
 /// Makes the cluster of some elements. Returns nothing if the mesh has fewer than eight nodes.
 /// Leaves body and deviatoric_part open. Nodes are numbered in the body.
 template <class Shape>
-std::optional<Cluster> make_cluster(const Neighbours& neighbours, ClusterFiller& filler,
+std::optional<Cluster> make_cluster(const ReadBody& body, const Neighbours& neighbours, ClusterFiller& filler,
                                     std::span<const std::uint32_t> elements) {
   std::vector<std::uint32_t> nodes;
   for (const std::uint32_t element : elements) {
@@ -86,7 +87,8 @@ std::optional<Cluster> make_cluster(const Neighbours& neighbours, ClusterFiller&
     Vec3<double> x[Shape::kNodes];
     for (std::size_t k = 0; k < of_element.size(); ++k) x[k] = neighbours.mesh.nodes[of_element[k]];
     const auto point = physics::rest_points<Shape>(x, physics::Quadrature::kReduced).front();
-    const auto mean = physics::PointGradients<Shape, double>::read([&](int i) { return point[std::size_t(i)]; });
+    auto mean = physics::PointGradients<Shape, double>::read([&](int i) { return point[std::size_t(i)]; });
+    if (const mesh::PartShares* part = part_of(body, elements[e]).shares; part != nullptr) mean.weight *= part->volume;
     for (std::size_t k = 0; k < of_element.size(); ++k) {
       const auto place = std::find(nodes.begin(), nodes.end(), of_element[k]) - nodes.begin();
       cluster.mean.a[place] += mean.a[k] * mean.weight;
@@ -145,7 +147,7 @@ Clusters make_clusters(std::span<const ReadBody> bodies) {
     const Neighbours neighbours{body.mesh};
     ClusterFiller filler(neighbours);
     const auto add = [&](auto shape, std::span<const std::uint32_t> elements, double part) {
-      std::optional<Cluster> cluster = make_cluster<typename decltype(shape)::Type>(neighbours, filler, elements);
+      std::optional<Cluster> cluster = make_cluster<typename decltype(shape)::Type>(body, neighbours, filler, elements);
       if (!cluster) return;
       cluster->body = b;
       cluster->deviatoric_part = part;
@@ -154,9 +156,10 @@ Clusters make_clusters(std::span<const ReadBody> bodies) {
       for (const std::uint32_t element : elements) alone[element] = false;
     };
     for (const ElementPair& pair : pair_wedges(body)) add(physics::TypeTag<physics::Wedge>{}, pair, 0);
-    for (const ElementRing& ring : ring_tetrahedra(body)) {
+    for (const ElementRing& ring : body.cut == nullptr ? ring_tetrahedra(body) : rings_of_cut(body)) {
       add(physics::TypeTag<physics::LinearTetrahedron>{}, ring, kRingPart);
     }
+    if (body.cut != nullptr) continue;  // a cut may leave elements alone
     find_unpaired(body, alone, mesh::Shape::kWedge, "lies across a quadrilateral face", out.findings);
     find_unpaired(body, alone, mesh::Shape::kTetrahedron, "shares an edge", out.findings);
   }

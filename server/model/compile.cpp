@@ -13,6 +13,7 @@
 #include "model/check.h"
 #include "model/clusters.h"
 #include "model/compile_parts.h"
+#include "model/cut_bodies.h"
 #include "model/edit_tables.h"
 #include "tensormass/v1/scene.pb.h"
 
@@ -143,11 +144,13 @@ matrix::Layout make_layout(const mesh::Mesh& mesh, std::span<const Cluster> clus
   return matrix::make_layout(mesh.nodes, neighbours_of(mesh, clusters), policy.count(nodes), policy.storage_of(nodes));
 }
 
-Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress) {
+Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress,
+                      const SceneCuts& cuts) {
   Model model;
   TM_ASSIGN_OR_RETURN(settings, read_settings(scene));
   static_cast<Settings&>(model) = std::move(settings);
-  TM_ASSIGN_OR_RETURN(bodies, read_bodies(scene, progress));
+  TM_ASSIGN_OR_RETURN(whole, read_bodies(scene, progress));
+  TM_ASSIGN_OR_RETURN(bodies, cut_apart(std::move(whole), cuts));
   BodyBoundaries boundaries(bodies.bodies);
   TM_ASSIGN_OR_RETURN(tools, read_tools(scene, bodies.merged.nodes, model.dt_s));
   TM_ASSIGN_OR_RETURN(links, read_links(scene, bodies, boundaries));
@@ -199,6 +202,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
     TM_ASSIGN_OR_RETURN(visible, make_visible_surface(scene, bodies, boundaries, model.layout));
     store(std::move(visible), model);
     store(make_visible_springs(links.attachments, bodies.merged.nodes, model.layout), model);
+    TM_RETURN_IF_ERROR(append_cut_vertices(scene, bodies, model.layout, model.visible));
   }
 
   append(find_loose_bodies(model, model.bodies), model.findings);
@@ -224,7 +228,8 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
                         .contact = model.contact}),
          model.findings);
   finish_findings(model.accepted, model.findings);
-  if (model.editing) TM_RETURN_IF_ERROR(make_editable({.bodies = bodies, .clusters = clusters.clusters}, model));
+  if (model.editing && !scene.editing().has_cutting())
+    TM_RETURN_IF_ERROR(make_editable({.bodies = bodies, .clusters = clusters.clusters}, model));
   check_model(model);
   return model;
 }

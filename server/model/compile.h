@@ -3,6 +3,8 @@
 #include <cstdint>
 #include <functional>
 #include <limits>
+#include <memory>
+#include <vector>
 
 #include "core/result.h"
 #include "model/model.h"
@@ -13,6 +15,10 @@ class Scene;
 }
 
 namespace tensormass::model {
+
+class BodyCut;
+/// The cuts of a scene (cut_bodies.h): [body]; nullptr: the body is whole. Empty: all are.
+using SceneCuts = std::vector<std::shared_ptr<const BodyCut>>;
 
 /// How a backend wants the mesh cut. A patch is one CPU thread or one GPU thread block.
 struct PatchPolicy {
@@ -41,7 +47,10 @@ struct PatchPolicy {
 ///
 /// Errors name the place in the scene, the element or node, and the remedy. kCancelled if `progress` says so. Asserts
 /// the invariants of the model (check.h) once, so that steps need not.
-Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress = {});
+///
+/// cuts: of the bodies of this scene; empty: all are whole
+Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress = {},
+                      const SceneCuts& cuts = {});
 
 /// Returns how many CPU threads the scene asks for; 0 if it does not say.
 std::uint32_t requested_cpu_threads(const v1::Scene& scene);

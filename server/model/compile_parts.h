@@ -132,6 +132,11 @@ struct VisibleBodies {
 Result<VisibleBodies> make_visible_surface(const v1::Scene& scene, const ReadBodies& bodies, BodyBoundaries& boundaries,
                                            const matrix::Layout& layout);
 
+/// Appends the vertices that cuts have made, and room for more, to the points that clients see. Fails if the scene has
+/// no room for so many.
+Result<void> append_cut_vertices(const v1::Scene& scene, const ReadBodies& bodies, const matrix::Layout& layout,
+                                 VisibleSurface& visible);
+
 /// The springs that clients see, and the points at their ends.
 struct VisibleSprings {
   std::vector<VisibleAttachment> attachments;

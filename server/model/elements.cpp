@@ -12,6 +12,7 @@
 #include "mesh/shapes.h"
 #include "model/clusters.h"
 #include "model/compile_parts.h"
+#include "model/cut_bodies.h"
 #include "model/scene_input.h"
 #include "physics/element/element.h"
 
@@ -37,6 +38,10 @@ namespace {
 using physics::Quadrature;
 using view::kSliceRows;
 
+/// What a cut must leave of an element for its volume to be checked. A smaller part is a splinter at the cut's face. It
+/// may turn over unseen, and a law that does not recover from that need not stop the scene for it.
+constexpr double kLeastCheckedPart = 0.1;
+
 /// Elements that a thread takes at once.
 constexpr std::size_t kGrain = 16384;
 
@@ -57,9 +62,10 @@ struct GroupKey {
   int shape, law;
   Quadrature quadrature;
   Share share;
+  bool is_splinter;  // kLeastCheckedPart
   std::size_t body;
   std::size_t series;  // index of the Prony series; 0: the law is elastic
-  auto order() const { return std::tie(constant, shape, law, quadrature, share, body, series); }
+  auto order() const { return std::tie(constant, shape, law, quadrature, share, is_splinter, body, series); }
   bool operator<(const GroupKey& other) const { return order() < other.order(); }
 };
 
@@ -154,7 +160,8 @@ ElementGroup make_group(const GroupKey& key, const Collected& elements, const ma
   physics::for_each_type(physics::Laws{}, [&](auto law, int index) {
     using Law = typename decltype(law)::Type;
     if (index != key.law) return;
-    group.checks_volume = Law::kInversion == physics::Inversion::kCaught && elements.members.empty();
+    group.checks_volume =
+        Law::kInversion == physics::Inversion::kCaught && elements.members.empty() && !key.is_splinter;
   });
   group.element_count = static_cast<std::uint32_t>(elements.elements.size());
   const bool edges = layout.storage == matrix::Storage::kEdges;
@@ -217,9 +224,13 @@ Result<GroupedElements> group_elements(const ReadBodies& all, std::span<const Cl
                                         std::uint32_t element, const Material& material,
                                         std::span<const std::uint32_t> nodes) -> Collected& {
     const ReadBody& body = bodies[b];
+    const mesh::PartShares* const part = part_of(body, element).shares;
+    const bool is_element = share == Share::kWhole || share == Share::kMember;
+    const bool is_splinter = is_element && part != nullptr && part->volume < kLeastCheckedPart;
     const bool alone = material.constant_stiffness || !material.prony.empty();
-    Collected& group = collected[{material.constant_stiffness, physics::index_of<Shape>(physics::Shapes{}),
-                                  material.law, body.quadrature, share, alone ? b : 0, series_of(material.prony)}];
+    Collected& group =
+        collected[{material.constant_stiffness, physics::index_of<Shape>(physics::Shapes{}), material.law,
+                   body.quadrature, share, is_splinter, alone ? b : 0, series_of(material.prony)}];
     if (material.constant_stiffness) {
       if (out.constant_edges.empty()) out.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
       add_constant_tensors(layout, material, nodes, rest, out);
@@ -262,6 +273,7 @@ Result<GroupedElements> group_elements(const ReadBodies& all, std::span<const Cl
         for (const auto& point : rest.points) {
           if (!(point.back() > 0)) folded = std::min(folded, of_scene);
         }
+        take_part(bodies[b], element, rest);
         const Material& material = bodies[b].material(element);
         if (cluster_of[of_scene] == nullptr) {
           collect(rest, Share::kWhole, b, element, material, nodes);

@@ -1,7 +1,8 @@
 #include <algorithm>
 #include <limits>
-#include <numeric>
 
+#include "mesh/components.h"
+#include "mesh/shapes.h"
 #include "model/compile_parts.h"
 #include "view/balance.h"
 
@@ -9,14 +10,37 @@ namespace tensormass::model {
 
 namespace {
 
-/// Returns which bodies nothing holds. Forces of pressure are not among those that a balance knows, and a consistent
+/// The pieces of a scene: what shares no node with the rest. Numbered by their lowest nodes.
+///
+/// A body may consist of several, or come apart when it is cut, and each then moves by itself.
+struct Pieces {
+  std::vector<std::uint32_t> piece_of_node;
+  std::vector<std::vector<std::uint32_t>> nodes;  ///< [piece] ascending
+
+  explicit Pieces(const mesh::Mesh& mesh) : piece_of_node(mesh.nodes.size()) {
+    mesh::Components components(mesh.nodes.size());
+    for (const std::span<const std::uint32_t> element : mesh::element_nodes(mesh)) {
+      for (const std::uint32_t node : element) components.join(element[0], node);
+    }
+    for (std::uint32_t node = 0; node < piece_of_node.size(); ++node) {
+      const std::uint32_t root = components.root(node);  // the lowest node
+      if (root == node) nodes.emplace_back();
+      piece_of_node[node] = root == node ? static_cast<std::uint32_t>(nodes.size() - 1) : piece_of_node[root];
+      nodes[piece_of_node[node]].push_back(node);
+    }
+  }
+};
+
+/// Returns which pieces nothing holds. Forces of pressure are not among those that a balance knows, and a consistent
 /// mass has moments that a lumped one has not.
-std::vector<bool> find_free(const FreeBodyInput& input) {
+std::vector<bool> find_free(const FreeBodyInput& input, const Pieces& pieces) {
   const std::vector<ReadBody>& bodies = input.bodies.bodies;
   const matrix::Layout& layout = input.layout;
-  std::vector<bool> free(bodies.size(), true);
-  for (std::size_t b = 0; b < free.size(); ++b) free[b] = !bodies[b].consistent_mass;
-  const auto hold = [&](std::uint32_t row) { free[body_of_node(bodies, layout.node_of_row[row])] = false; };
+  std::vector<bool> free;
+  for (const std::vector<std::uint32_t>& nodes : pieces.nodes) {
+    free.push_back(!bodies[body_of_node(bodies, nodes.front())].consistent_mass);
+  }
+  const auto hold = [&](std::uint32_t row) { free[pieces.piece_of_node[layout.node_of_row[row]]] = false; };
   constexpr double kAllDirections = 7;  // view::StateView::rest
   for (const std::uint32_t row : layout.row_of_node) {
     if (input.rest[4 * std::size_t{row} + 3] != kAllDirections) hold(row);
@@ -26,34 +50,35 @@ std::vector<bool> find_free(const FreeBodyInput& input) {
   return free;
 }
 
-/// Returns the row of the node that is nearest to the mean of a body's nodes.
-std::uint32_t center_row(const FreeBodyInput& input, const ReadBody& body) {
-  const std::vector<Eigen::Vector3d>& nodes = input.bodies.merged.nodes;
-  const auto begin = nodes.begin() + body.node_begin, end = begin + body.node_count;
-  const Eigen::Vector3d mean = std::accumulate(begin, end, Eigen::Vector3d(Eigen::Vector3d::Zero())) / body.node_count;
-  const auto nearest = std::min_element(begin, end, [&](const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
-    return (a - mean).squaredNorm() < (b - mean).squaredNorm();
+/// Returns the row of the node that is nearest to the mean of some nodes.
+std::uint32_t center_row(const FreeBodyInput& input, std::span<const std::uint32_t> nodes) {
+  const std::vector<Eigen::Vector3d>& at = input.bodies.merged.nodes;
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  for (const std::uint32_t node : nodes) mean += at[node];
+  mean /= static_cast<double>(nodes.size());
+  const auto nearest = std::min_element(nodes.begin(), nodes.end(), [&](std::uint32_t a, std::uint32_t b) {
+    return (at[a] - mean).squaredNorm() < (at[b] - mean).squaredNorm();
   });
-  return input.layout.row_of_node[static_cast<std::size_t>(nearest - nodes.begin())];
+  return input.layout.row_of_node[*nearest];
 }
 
 }  // namespace
 
 FreeBodies find_free_bodies(const FreeBodyInput& input) {
-  const std::vector<ReadBody>& bodies = input.bodies.bodies;
   const matrix::Layout& layout = input.layout;
-  const std::vector<bool> free = find_free(input);
+  const Pieces pieces(input.bodies.merged);
+  const std::vector<bool> free = find_free(input, pieces);
   FreeBodies out;
   std::vector<std::uint32_t> place(free.size(), view::kNoBody);
-  for (std::size_t b = 0; b < free.size(); ++b) {
-    if (!free[b]) continue;
-    place[b] = out.count();
-    out.center_rows.push_back(center_row(input, bodies[b]));
+  for (std::size_t p = 0; p < free.size(); ++p) {
+    if (!free[p]) continue;
+    place[p] = out.count();
+    out.center_rows.push_back(center_row(input, pieces.nodes[p]));
   }
   if (out.count() == 0) return out;
   out.row_body.assign(layout.row_count, view::kNoBody);
   for (const std::uint32_t row : layout.row_of_node) {
-    out.row_body[row] = place[body_of_node(bodies, layout.node_of_row[row])];
+    out.row_body[row] = place[pieces.piece_of_node[layout.node_of_row[row]]];
   }
   std::vector<std::vector<std::uint32_t>> entries(out.count());
   out.patch_entries.assign(1, 0);

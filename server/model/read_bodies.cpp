@@ -7,6 +7,7 @@
 #include "mesh/curve.h"
 #include "mesh/elevate.h"
 #include "mesh/shapes.h"
+#include "model/cut_bodies.h"
 #include "model/read_parts.h"
 #include "model/scene_input.h"
 #include "tensormass/v1/scene.pb.h"
@@ -138,9 +139,7 @@ Result<void> read_body(const v1::Scene& scene, const Progress& progress, ReadBod
   ReadBody out;
   out.name = body.name();
   out.ablation_j_per_m3 = ablation_j_per_m3;
-  out.node_begin = static_cast<std::uint32_t>(all.merged.nodes.size());
   out.node_count = out.loaded_node_count = report.node_count;
-  out.element_begin = mesh::element_count(all.merged);
   out.element_count = out.loaded_element_count = report.element_count;
   out.component_count = report.component_count;
   out.volume_m3 = report.volume_m3;
@@ -156,15 +155,8 @@ Result<void> read_body(const v1::Scene& scene, const Progress& progress, ReadBod
     out.color_srgb = {color.x(), color.y(), color.z()};
   }
 
-  all.merged.nodes.insert(all.merged.nodes.end(), mesh.nodes.begin(), mesh.nodes.end());
-  for (const mesh::ElementBlock& block : mesh.blocks) {
-    mesh::ElementBlock shifted = block;
-    for (std::uint32_t& node : shifted.nodes) node += out.node_begin;
-    all.merged.blocks.push_back(std::move(shifted));
-    all.block_bodies.push_back(index);
-  }
-
   out.mesh = std::move(mesh);
+  append_mesh(index, out, all);
   out.middle_of = std::move(middle_of);
   out.density_kg_per_m3 = density;
   TM_RETURN_IF_ERROR(read_quadrature(body, out, all.findings, where));
@@ -175,8 +167,22 @@ Result<void> read_body(const v1::Scene& scene, const Progress& progress, ReadBod
 
 }  // namespace
 
+void append_mesh(std::size_t body_index, ReadBody& body, ReadBodies& all) {
+  body.node_begin = static_cast<std::uint32_t>(all.merged.nodes.size());
+  body.element_begin = mesh::element_count(all.merged);
+  all.merged.nodes.insert(all.merged.nodes.end(), body.mesh.nodes.begin(), body.mesh.nodes.end());
+  for (const mesh::ElementBlock& block : body.mesh.blocks) {
+    mesh::ElementBlock shifted = block;
+    for (std::uint32_t& node : shifted.nodes) node += body.node_begin;
+    all.merged.blocks.push_back(std::move(shifted));
+    all.block_bodies.push_back(body_index);
+  }
+}
+
 const mesh::Surface& BodyBoundaries::of(std::size_t body) {
-  if (!surfaces_[body]) surfaces_[body] = mesh::boundary(bodies_[body].mesh);
+  if (!surfaces_[body]) {
+    surfaces_[body] = mesh::surface_of(bodies_[body].mesh, uncut_boundary_faces(bodies_[body]));
+  }
   return *surfaces_[body];
 }
 

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <span>
 #include <string>
@@ -30,9 +31,13 @@ class Scene;
 /// from them without the message.
 namespace tensormass::model {
 
+class BodyCut;
+
 /// A body whose message is read and whose mesh is admitted.
 struct ReadBody : AdmittedBody {
-  mesh::Mesh mesh;
+  mesh::Mesh mesh;                        ///< a body with cuts has their copies here
+  std::shared_ptr<const BodyCut> cut;     ///< cut_bodies.h; nullptr: the body is whole
+  std::vector<std::uint32_t> copy_parts;  ///< [element_copies] index into mesh::Cut::parts
   std::vector<mesh::EdgeEnds> middle_of;  ///< edges in whose middles the last nodes are (BodyNodes)
   physics::Quadrature quadrature = physics::Quadrature::kFull;
   bool consistent_mass = false;
@@ -44,7 +49,8 @@ struct ReadBody : AdmittedBody {
   const Material& material(std::uint32_t element) const {
     return materials[element_materials.empty() ? 0 : element_materials[element]];
   }
-  BodyNodes nodes() const { return {mesh.nodes, middle_of}; }
+  /// Nodes as loaded. Regions choose among them, so a copy that a cut makes is free.
+  BodyNodes nodes() const { return {std::span(mesh.nodes).first(loaded_node_count), middle_of}; }
 };
 
 /// All bodies of a scene.
@@ -130,6 +136,9 @@ Result<Settings> read_settings(const v1::Scene& scene);
 
 /// Reads the bodies and merges their meshes.
 Result<ReadBodies> read_bodies(const v1::Scene& scene, const Progress& progress);
+
+/// Appends the mesh of a body to those of the scene, and sets its ranges.
+void append_mesh(std::size_t body_index, ReadBody& body, ReadBodies& all);
 
 /// Reads body.law, law_regions and element_fields into `out`, whose mesh is read already.
 Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_view where);

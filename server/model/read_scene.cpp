@@ -205,6 +205,10 @@ Result<Settings> read_settings(const v1::Scene& scene) {
   out.gravity_schedule = std::move(schedule);
   if (scene.has_editing()) TM_RETURN_IF_ERROR(read_editing(scene.editing(), out));
   for (const v1::Tool& tool : scene.tools()) {
+    if (tool.has_cautery() && scene.editing().has_cutting()) {
+      return invalid(fmt::format(
+          "tool '{}'.cautery: a scene with editing.cutting cannot burn yet; leave one of the two out", tool.name()));
+    }
     if (!tool.has_cautery() || scene.has_editing()) continue;
     return invalid(
         fmt::format("tool '{}'.cautery: the scene has no room for what it burns away; give it scene.editing, "

@@ -2,6 +2,7 @@
 #include <cmath>
 
 #include "model/compile_parts.h"
+#include "model/cut_bodies.h"
 #include "model/scene_input.h"
 #include "physics/element/element.h"
 #include "tensormass/v1/scene.pb.h"
@@ -65,20 +66,23 @@ RowFields make_row_fields(const ReadBodies& all, std::span<const Damping> dampin
   if (consistent) out.mass_edges.assign(layout.slot_count(), 0);
 
   for_each_element(
-      all, [&](auto tag, std::size_t b, std::uint32_t, std::span<const std::uint32_t> nodes, const auto& x) {
+      all, [&](auto tag, std::size_t b, std::uint32_t element, std::span<const std::uint32_t> nodes, const auto& x) {
         using Shape = typename decltype(tag)::Type;
         const double density = bodies[b].density_kg_per_m3;
+        const mesh::PartShares* const part = part_of(bodies[b], element).shares;
         const auto row = [&](int k) { return std::size_t{layout.row_of_node[nodes[static_cast<std::size_t>(k)]]}; };
         if (!bodies[b].consistent_mass) {
           const auto volumes = physics::lumped_volumes<Shape>(x);
           for (int k = 0; k < Shape::kNodes; ++k) {
-            const double mass = density * volumes[static_cast<std::size_t>(k)];
+            const double whole = density * volumes[static_cast<std::size_t>(k)];
+            const double mass = part == nullptr ? whole : whole * part->nodes[static_cast<std::size_t>(k)];
             out.row_mass[row(k)] += mass;
             if (inertia) out.inertia[4 * row(k)] += mass;
           }
           return;
         }
-        const auto integrals = physics::mass_integrals<Shape>(x);
+        auto integrals = physics::mass_integrals<Shape>(x);
+        if (part != nullptr) integrals *= part->volume;
         for (int k = 0; k < Shape::kNodes; ++k) {
           out.row_mass[row(k)] += density * integrals.row(k).sum();
           if (!inertia) continue;

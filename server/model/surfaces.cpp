@@ -9,6 +9,7 @@
 #include "mesh/embedding.h"
 #include "mesh/surface.h"
 #include "model/compile_parts.h"
+#include "model/cut_bodies.h"
 #include "model/scene_input.h"
 #include "model/texture.h"
 #include "tensormass/v1/scene.pb.h"
@@ -17,6 +18,9 @@
 namespace tensormass::model {
 
 namespace {
+
+/// Vertices that a scene has room for at least, if its bodies may be cut.
+constexpr std::uint32_t kLeastRoomForCuts = 4096;
 
 /// Adds the moduli behind a triangle of the contact surface. element: the one behind it.
 void add_moduli(std::span<const ReadBody> bodies, std::uint32_t element, ContactSurface& out) {
@@ -27,10 +31,25 @@ void add_moduli(std::span<const ReadBody> bodies, std::uint32_t element, Contact
   out.triangle_moduli.push_back(young_pa / (1 - poisson * poisson));
 }
 
+/// Returns the boundary of all bodies; of one that is cut, what no cut crosses.
+mesh::Surface boundary_of(const ReadBodies& all) {
+  const auto is_cut = [](const ReadBody& body) { return body.cut != nullptr; };
+  if (std::none_of(all.bodies.begin(), all.bodies.end(), is_cut)) return mesh::boundary(all.merged);
+  std::vector<mesh::BoundaryFace> faces;
+  for (const ReadBody& body : all.bodies) {
+    for (mesh::BoundaryFace face : uncut_boundary_faces(body)) {
+      face.element += body.element_begin;
+      for (std::uint32_t i = 0; i < face.nodes.count; ++i) face.nodes.nodes[i] += body.node_begin;
+      faces.push_back(face);
+    }
+  }
+  return mesh::surface_of(all.merged, faces);
+}
+
 }  // namespace
 
 ContactSurface make_contact_surface(const ReadBodies& bodies, const matrix::Layout& layout) {
-  const mesh::Surface surface = mesh::boundary(bodies.merged);
+  const mesh::Surface surface = boundary_of(bodies);
   ContactSurface out;
   const auto row_of = [&](std::uint32_t vertex) { return layout.row_of_node[surface.nodes[vertex]]; };
 
@@ -115,6 +134,7 @@ Result<VisibleBodies> make_visible_surface(const v1::Scene& scene, const ReadBod
       }
     };
     if (source.has_skin()) {
+      if (read.cut != nullptr) return invalid(fmt::format("{}: a body with a skin cannot be cut yet", where));
       TM_ASSIGN_OR_RETURN(skin, read_skin(source, where));
       TM_ASSIGN_OR_RETURN(report, mesh::admit_skin(skin.vertices, skin.triangles, where));
       for (Finding& finding : report.findings) {
@@ -126,7 +146,8 @@ Result<VisibleBodies> make_visible_surface(const v1::Scene& scene, const ReadBod
       body.triangles = std::move(skin.triangles);
       body.has_skin = true;
     } else {
-      const mesh::Surface& surface = boundaries.of(b);
+      // That of the mesh as loaded: what cuts change of it is appended (append_cut_vertices).
+      const mesh::Surface& surface = read.cut == nullptr ? boundaries.of(b) : read.cut->surface();
       for (const std::uint32_t node : surface.nodes) add({node, node, node, node}, {1, 0, 0, 0});
       body.triangles = surface.triangles;
       body.vertex_nodes = surface.nodes;
@@ -137,6 +158,54 @@ Result<VisibleBodies> make_visible_surface(const v1::Scene& scene, const ReadBod
   }
   visible.vertex_count = visible.count();
   return out;
+}
+
+Result<void> append_cut_vertices(const v1::Scene& scene, const ReadBodies& bodies, const matrix::Layout& layout,
+                                 VisibleSurface& visible) {
+  SceneCuts cuts;
+  std::size_t triangles = 0;
+  for (const ReadBody& body : bodies.bodies) {
+    cuts.push_back(body.cut);
+    if (body.cut != nullptr) triangles += body.cut->changes().appended_triangles().size();
+  }
+  const std::vector<std::vector<std::uint32_t>> places = places_of_appended(cuts);
+  std::uint32_t appended = 0;
+  for (const std::vector<std::uint32_t>& of_body : places) appended += static_cast<std::uint32_t>(of_body.size());
+  const v1::Editing& editing = scene.editing();
+  const std::uint32_t usual = visible.vertex_count + kLeastRoomForCuts;
+  const std::uint32_t room = !editing.has_cutting()           ? appended
+                             : editing.has_max_new_vertices() ? editing.max_new_vertices()
+                                                              : usual;
+  const std::size_t most = editing.has_max_new_triangles() ? editing.max_new_triangles() : 2 * std::size_t{usual};
+  if (appended > room || triangles > most) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("the surface would have {} new vertices and {} new triangles, and scene.editing has room "
+                            "for {} and {}; raise max_new_vertices or max_new_triangles, or reset the scene",
+                            appended, triangles, room, most));
+  }
+  const std::size_t first = 4 * std::size_t{visible.point_count()};
+  visible.rows.resize(first + 4 * std::size_t{room}, 0);
+  visible.weights.resize(visible.rows.size(), 0);
+  visible.room = room;
+  visible.appended_count = appended;
+  for (std::size_t b = 0; b < cuts.size(); ++b) {
+    for (std::size_t v = 0; v < places[b].size(); ++v) {
+      const mesh::CutChanges::Vertex& vertex = cuts[b]->changes().appended_vertices()[v];
+      const std::size_t at = first + 4 * std::size_t{places[b][v]};
+      if (vertex.size() > 4) {
+        return invalid(
+            fmt::format("body '{}': hexahedra that are cut cannot be shown yet; leave "
+                        "streams.frame_rate_hz out",
+                        bodies.bodies[b].name));
+      }
+      for (std::size_t i = 0; i < 4; ++i) {
+        const auto& [node, weight] = vertex[std::min(i, vertex.size() - 1)];
+        visible.rows[at + i] = layout.row_of_node[bodies.bodies[b].node_begin + node];
+        visible.weights[at + i] = i < vertex.size() ? weight : 0;
+      }
+    }
+  }
+  return {};
 }
 
 VisibleSprings make_visible_springs(std::span<const ReadAttachment> attachments, std::span<const Eigen::Vector3d> nodes,

@@ -50,6 +50,7 @@ v1::SceneAdjustments adjustments_of(const v1::Scene& loaded) {
     adjustment.set_stiffness_factor(1);
     adjustment.set_rayleigh_mass_per_s(body.rayleigh_mass_per_s());
     adjustment.set_rayleigh_stiffness_s(body.rayleigh_stiffness_s());
+    if (loaded.editing().has_cutting()) adjustment.mutable_cuts();
   }
   return out;
 }
@@ -74,6 +75,7 @@ Result<v1::SceneAdjustments> with_changes(v1::SceneAdjustments present, const v1
       TM_RETURN_IF_ERROR(model::read_number(change.stiffness_factor(), kMinStiffnessFactor, kMaxStiffnessFactor,
                                             fmt::format("changes.bodies ('{}').stiffness_factor", change.body())));
     }
+    if (change.has_cuts()) found->clear_cuts();
     found->MergeFrom(change);
   }
   return present;

@@ -19,10 +19,10 @@ Result<std::unique_ptr<backend::Backend>> make_backend(const RunnerOptions& opti
 }  // namespace
 
 Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options,
-                                    const model::Progress& progress) {
+                                    const model::Progress& progress, const model::SceneCuts& cuts) {
   TM_ASSIGN_OR_RETURN(backend, make_backend(options));
   const std::uint32_t cpu_threads = model::requested_cpu_threads(scene);
-  TM_ASSIGN_OR_RETURN(model, model::compile(scene, backend->patch_policy(cpu_threads), progress));
+  TM_ASSIGN_OR_RETURN(model, model::compile(scene, backend->patch_policy(cpu_threads), progress, cuts));
   v1::SceneReport report = step::make_report(model, backend->rates(cpu_threads));
   return CompiledScene{std::move(backend), std::make_unique<model::Model>(std::move(model)), std::move(report),
                        hash_of(scene)};

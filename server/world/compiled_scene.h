@@ -5,6 +5,7 @@
 
 #include "backend/backend.h"
 #include "core/result.h"
+#include "model/compile.h"
 #include "model/model.h"
 #include "model/progress.h"
 #include "tensormass/v1/control.pb.h"
@@ -22,7 +23,8 @@ struct CompiledScene {
 };
 
 /// Selects the backend and compiles the scene for it. Errors name the body, the element and the remedy.
+/// cuts: of its bodies
 Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options,
-                                    const model::Progress& progress = {});
+                                    const model::Progress& progress = {}, const model::SceneCuts& cuts = {});
 
 }  // namespace tensormass::world

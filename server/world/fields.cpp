@@ -150,6 +150,16 @@ Measured measure(const model::Model& m, const backend::RowState& state,
   for (double& det_f : measured.det_f) {
     if (std::isinf(det_f)) det_f = 1;  // an edit took all of its material
   }
+  // An element that cuts have split has what its part with the lowest corner has, and all of its energy.
+  for (std::size_t i = 0; i < body.element_copies.size(); ++i) {
+    const std::size_t loaded = body.element_copies[i].loaded, copy = body.loaded_element_count + i;
+    measured.det_f[loaded] = std::min(measured.det_f[loaded], measured.det_f[copy]);
+    measured.energy[loaded] += measured.energy[copy];
+  }
+  measured.cauchy.resize(body.loaded_element_count);
+  measured.strain.resize(body.loaded_element_count);
+  measured.det_f.resize(body.loaded_element_count);
+  measured.energy.resize(body.loaded_element_count);
   for (const auto& face : faces) {
     Vec3<double> x[physics::kMaxFaceNodes];
     for (std::uint32_t k = 0; k < face.node_count; ++k) {
@@ -212,7 +222,7 @@ Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backen
   for (const int field : request.fields()) {
     std::vector<double> values;
     const auto by_node = [&](const auto& of_row) {
-      for (std::uint32_t node = 0; node < body.node_count; ++node) {
+      for (std::uint32_t node = 0; node < body.loaded_node_count; ++node) {
         const Vec3<double> v = of_row(std::size_t{m.layout.row_of_node[body.node_begin + node]});
         values.insert(values.end(), v.data(), v.data() + 3);
       }

@@ -93,8 +93,8 @@ bool Findings::take_step(const World& world) {
 }
 
 void Findings::take_diagnostics(const World& world) {
-  TM_ASSERT(world.diagnostics().size() == groups_.size(), "diagnostics of each element group");
-  for (std::size_t g = 0; g < groups_.size(); ++g) {
+  TM_ASSERT(world.diagnostics().size() <= groups_.size(), "diagnostics of each element group");
+  for (std::size_t g = 0; g < world.diagnostics().size(); ++g) {
     groups_[g].min_det_f.store(world.diagnostics()[g].min_det_f, kRelaxed);
     groups_[g].max_strain.store(world.diagnostics()[g].max_strain, kRelaxed);
     groups_[g].max_rotation_rad.store(world.diagnostics()[g].max_rotation_rad, kRelaxed);
@@ -105,7 +105,7 @@ void Findings::take_diagnostics(const World& world) {
 }
 
 void Findings::go_on_with(std::shared_ptr<const model::Model> model) noexcept {
-  TM_ASSERT(model->groups.size() == groups_.size(), "values do not change which elements form a group");
+  TM_ASSERT(model->groups.size() <= groups_.size(), "cuts add a group for what they leave of clusters at most");
   (void)model_.replace(std::move(model));
 }
 
@@ -198,7 +198,7 @@ void Findings::add_solve(const model::Model& m, v1::SceneStatus& status) const {
 
 void Findings::add_elements(const model::Model& m, v1::SceneStatus& status) const {
   double min_det_f = std::numeric_limits<double>::infinity(), most_used = 0;
-  for (std::size_t g = 0; g < groups_.size(); ++g) {
+  for (std::size_t g = 0; g < m.groups.size(); ++g) {
     min_det_f = std::min(min_det_f, groups_[g].min_det_f.load(kRelaxed));
     const model::ElementGroup& group = m.groups[g];
     if (group.has_clusters()) continue;  // each of their elements has diagnostics of its own

@@ -29,7 +29,7 @@ namespace tensormass::world {
 class Findings {
  public:
   Findings(std::shared_ptr<const model::Model> model, const IterationBudget& budget)
-      : groups_(model->groups.size()), model_(std::move(model)), budget_(budget) {}
+      : groups_(kGroupsOfCuts * model->groups.size()), model_(std::move(model)), budget_(budget) {}
 
   /// Loop: takes the results of the last World::step, also if the guard refused it. Returns whether a recovery began or
   /// ended with it.
@@ -53,6 +53,8 @@ class Findings {
   struct Group {
     std::atomic<double> min_det_f{1}, max_strain{0}, max_rotation_rad{0}, least_stretch{1};
   };
+  // Cuts divide a group into whole elements, members of clusters, and splinters of both.
+  static constexpr std::size_t kGroupsOfCuts = 4;
   std::deque<Group> groups_;  // a deque because an atomic does not move
   Present<model::Model> model_;
   const IterationBudget& budget_;

@@ -153,10 +153,17 @@ class Loop {
   Result<Kept> do_keep();
   /// edit: the Restore that brought the state. generation: of the state; fails with kUnavailable if it has passed.
   Result<v1::SceneStatus> do_restore(const LoopCopy& state, EditPointer edit, const GenerationPointer& generation);
-  /// Puts another world of the scene in place of the present one, whose state it takes. On success `next` is the world
-  /// before, which may take long to end. On failure the scene is unchanged. Clears a fault of the guard.
-  /// generation: of `next`. edit: what the change was, for a recording.
-  Result<void> do_swap(std::unique_ptr<World>& next, GenerationPointer generation, EditPointer edit);
+  /// A world that takes the place of the present one.
+  struct Swap {
+    std::unique_ptr<World> world;
+    GenerationPointer generation;             ///< that of the world
+    EditPointer edit;                         ///< what the change was, for a recording; nullptr: it has none
+    std::shared_ptr<SurfaceChanges> surface;  ///< without a revision; nullptr: clients see the same surface
+    bool takes_state = true;                  ///< false: it stays at its start
+  };
+  /// Puts another world of the scene in place of the present one, whose state it takes. On success `swap.world` is the
+  /// world before, which may take long to end. On failure the scene is unchanged. Clears a fault of the guard.
+  Result<void> do_swap(Swap& swap);
 
  private:
   using State = LoopStatus::State;

@@ -1,3 +1,5 @@
+#include "world/cut_state.h"
+#include "world/cuts.h"
 #include "world/hashes.h"
 #include "world/loop.h"
 
@@ -11,7 +13,9 @@ void Loop::record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnose
                         .diagnosed = diagnosed,
                         .rejected = rejected,
                         .recovered = world_->recovering()});
-  if (!rejected && recording_->check_due()) recording_->take_check(step, world_->state());
+  if (!rejected && recording_->check_due()) {
+    recording_->take_check(step, world_->state(), world_->shared_model());
+  }
 }
 
 Result<Loop::StartedRecording> Loop::do_record(const RecordingOptions& options) {
@@ -95,12 +99,21 @@ void Loop::drop_abandoned_recording() {
   recording_.reset();
 }
 
-Result<void> Loop::do_swap(std::unique_ptr<World>& next, GenerationPointer generation, EditPointer edit) {
+Result<void> Loop::do_swap(Swap& swap) {
   TM_RETURN_IF_ERROR(require_state());
+  std::unique_ptr<World>& next = swap.world;
+  const GenerationPointer before = generation();
+  const double cut_m2 = area_of(swap.generation->cuts) - area_of(before->cuts);
   try {
-    const World::Copied copy = world_->copy();
     try {
-      next->take_over(World::by_node(*world_->shared_model(), copy));
+      if (swap.takes_state) {
+        World::Saved saved = World::by_node(*world_->shared_model(), world_->copy());
+        if (swap.generation->cuts != before->cuts) {
+          TM_ASSIGN_OR_RETURN(tissue, cut_state(*world_->shared_model(), saved.tissue, next->model()));
+          saved.tissue = std::move(tissue);
+        }
+        next->take_over(saved);
+      }
     } catch (const std::bad_alloc&) {
       throw;
     } catch (const std::exception& failure) {
@@ -119,13 +132,17 @@ Result<void> Loop::do_swap(std::unique_ptr<World>& next, GenerationPointer gener
   const bool was_faulted = status_.state() == v1::SceneStatus::STATE_FAULTED;
   outputs_.go_on_with(*world_);
   status_.go_on_with(world_->shared_model());
-  (void)generation_.replace(std::move(generation));
+  (void)generation_.replace(std::move(swap.generation));
   next_diagnostics_ = 0;
   if (was_faulted) clock_.restart(Clock::now());
-  if (recording_) recording_->take_edit({std::move(edit), world_->step_count()});
+  if (recording_ && swap.edit) recording_->take_edit({std::move(swap.edit), world_->step_count()});
   outputs_.take_step(Clock::now());
   take_edits();
-  outputs_.add_event({.kind = EventKind::kAdjusted, .step = world_->step_count()});
+  if (swap.surface != nullptr) outputs_.set_changes(surface_.number(std::move(swap.surface)));
+  const bool cuts = cut_m2 > 0;
+  outputs_.add_event({.kind = cuts ? EventKind::kCut : EventKind::kAdjusted,
+                      .step = world_->step_count(),
+                      .value = cuts ? cut_m2 : 0});
   if (status_.state() == v1::SceneStatus::STATE_PAUSED) outputs_.release_tools();
   status_.take_stamp(outputs_.stamp());
   outputs_.publish(true);

@@ -40,7 +40,7 @@ std::vector<std::uint32_t> fixed_vertices(const model::Model& model, const model
 
 /// What happened, in words. body: of the event, in quotes; empty: it has none.
 std::string text_of(const model::Model& model, const SceneEvent& event, const std::string& body) {
-  constexpr double kMm3 = 1e9;  // in a cubic metre
+  constexpr double kMm2 = 1e6, kMm3 = 1e9;  // in a square, in a cubic metre
   const std::string of_body = body.empty() ? std::string() : fmt::format(" of body {}", body);
   switch (event.kind) {
     case EventKind::kAblated:
@@ -49,6 +49,8 @@ std::string text_of(const model::Model& model, const SceneEvent& event, const st
       return fmt::format("a piece of {:.3g} mm³{} hangs on nothing", kMm3 * event.value, of_body);
     case EventKind::kSevered:
       return fmt::format("{:.0f} spring{} severed{}", event.value, event.value == 1 ? "" : "s", of_body);
+    case EventKind::kCut:
+      return fmt::format("a cut of {:.3g} mm²{}", kMm2 * event.value, of_body);
     case EventKind::kAdjusted:
       return "values of the scene were adjusted";
     case EventKind::kReset:

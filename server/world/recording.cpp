@@ -15,7 +15,6 @@ namespace tensormass::world {
 Recording::Recording(const model::Model& model, const RecordingOptions& options)
     : check_every_(options.check_every_steps),
       lease_(options.lease),
-      row_of_node_(model.layout.row_of_node),
       coming_(model.tools.size()),
       has_coming_(model.tools.size(), false),
       steps_(options.room_for_steps),
@@ -75,12 +74,12 @@ void Recording::end_step(const StepEnd& end) {
   index_.store(index, std::memory_order_release);
 }
 
-void Recording::take_check(std::uint64_t step, backend::RowState state) {
+void Recording::take_check(std::uint64_t step, backend::RowState state, std::shared_ptr<const model::Model> model) {
   if (checks_.room() == 0) {
     lost_checks_.fetch_add(1, std::memory_order_relaxed);
     return;
   }
-  checks_.back() = {index_.load(std::memory_order_relaxed), step, std::move(state)};
+  checks_.back() = {index_.load(std::memory_order_relaxed), step, std::move(state), std::move(model)};
   checks_.push();
 }
 
@@ -160,7 +159,7 @@ bool Recording::take(v1::RecordSceneResponse& response) {
     read_index_ = last;
   }
   if (const Check* check = checks_.front()) {
-    *response.add_checks() = make_check(check->index, check->step, check->state, row_of_node_);
+    *response.add_checks() = make_check(check->index, check->step, check->state, check->model->layout.row_of_node);
     checks_.pop();
   }
   response.set_lost_checks(lost_checks_.load(std::memory_order_relaxed));

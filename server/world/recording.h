@@ -70,7 +70,7 @@ class Recording {
   /// Says whether the state after the last step must be checked.
   bool check_due() const { return check_every_ > 0 && index_.load(std::memory_order_relaxed) % check_every_ == 0; }
   /// Takes a copy of the state after the last step.
-  void take_check(std::uint64_t step, backend::RowState state);
+  void take_check(std::uint64_t step, backend::RowState state, std::shared_ptr<const model::Model> model);
   /// No step follows.
   void close() { closed_.store(true, std::memory_order_release); }
   /// Says whether the reader has not looked for steps for the length of the lease.
@@ -107,6 +107,7 @@ class Recording {
   struct Check {
     std::uint64_t index = 0, step = 0;
     backend::RowState state;
+    std::shared_ptr<const model::Model> model;  ///< that of the state: a cut brings another one
   };
   bool has_room_for_step() const;
   void add_lost(std::uint64_t next, v1::RecordSceneResponse& response);
@@ -117,7 +118,6 @@ class Recording {
   // Copies, because the reader may outlive the scene.
   std::vector<std::string> tool_names_;
   std::vector<std::size_t> tool_joints_;
-  std::vector<std::uint32_t> row_of_node_;
 
   // The loop's own.
   std::vector<ReceivedPose> coming_;  // [tool]

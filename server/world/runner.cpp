@@ -12,6 +12,7 @@
 #include "core/names.h"
 #include "world/adjustments.h"
 #include "world/compiled_scene.h"
+#include "world/cuts.h"
 #include "world/edits.h"
 #include "world/fields.h"
 #include "world/hashes.h"
@@ -25,6 +26,18 @@ namespace {
 
 std::string write_snapshot(const Generation& generation, const LoopCopy& copy) {
   return world::write_snapshot(*generation.model, generation.scene_hash, by_node(*generation.model, copy));
+}
+
+/// Returns the hash of a scene that is cut. scene_hash: of its values without the cuts
+std::uint64_t hash_of_cut(std::uint64_t scene_hash, const v1::SceneAdjustments& adjustments) {
+  Hash hash;
+  hash.add(scene_hash);
+  for (const v1::BodyAdjustment& body : adjustments.bodies()) {
+    const v1::MeshCuts& cuts = body.cuts();
+    for (const std::string* bytes : {&cuts.edges(), &cuts.crossings(), &cuts.counts(), &cuts.orders()})
+      hash.add(*bytes);
+  }
+  return hash.value();
 }
 
 }  // namespace
@@ -47,9 +60,13 @@ struct Runner::Impl {
         topology(make_topology(world->model(), new_topology_version())) {
     for (std::size_t i = 0; i < world->model().tools.size(); ++i) tool_index.emplace(world->model().tools[i].name, i);
     world->set_topology_version(topology.version());
-    auto generation = std::make_shared<const Generation>(
-        Generation{0, world->shared_model(), compiled.scene_hash,
-                   source ? adjustments_of(source->scene) : v1::SceneAdjustments{}, false});
+    auto generation =
+        std::make_shared<const Generation>(Generation{0,
+                                                      world->shared_model(),
+                                                      compiled.scene_hash,
+                                                      source ? adjustments_of(source->scene) : v1::SceneAdjustments{},
+                                                      false,
+                                                      {}});
     loop = std::make_unique<Loop>(backend.backend, std::move(world), std::move(generation));
   }
 
@@ -82,7 +99,8 @@ struct Runner::Impl {
   Result<v1::SceneStatus> apply(const Restore& restore, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const Reset& reset, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const ChangeScene& change, const EditPointer& edit);
-  Result<void> swap_world(v1::SceneAdjustments wanted);
+  Result<void> swap_world(v1::SceneAdjustments wanted, model::SceneCuts cuts, const EditPointer& reset = nullptr);
+  Result<v1::SceneStatus> cut(const v1::SceneEdit& edit);
 
   const v1::SceneReport report;
   const BackendDescription backend;
@@ -136,6 +154,7 @@ Result<v1::SceneStatus> Runner::step(std::uint32_t count) {
   return impl_->call([count](Loop& loop) { return loop.do_step(count); });
 }
 Result<v1::SceneStatus> Runner::edit(const v1::SceneEdit& change) {
+  if (!change.cuts().empty()) return impl_->cut(change);
   return impl_->apply(std::make_shared<const Edit>(ChangeScene{change}));
 }
 Result<v1::SceneStatus> Runner::reset() { return impl_->apply(std::make_shared<const Edit>(Reset{})); }
@@ -209,8 +228,9 @@ Result<v1::ReplaySceneResponse> Runner::replay(const v1::ReplaySceneRequest& req
         return fail(ErrorCode::kUnavailable,
                     fmt::format("scene '{}' is being unloaded; step {} was not replayed", name(), left.front().index));
       }
+      const bool heals = std::holds_alternative<Reset>(*edit) && !impl_->loop->generation()->cuts.empty();
       const auto done = impl_->apply(edit);
-      if (done && std::holds_alternative<Adjust>(*edit)) ++number;
+      if (done && (heals || std::holds_alternative<Adjust>(*edit))) ++number;
       if (!done) {
         return fail(done.error().code,
                     fmt::format("an edit before recorded step {}: {}", left.front().index, done.error().message));
@@ -266,7 +286,8 @@ Result<v1::AdjustSceneResponse> Runner::adjust(const v1::SceneAdjustments& chang
   const v1::SceneAdjustments present = impl_->loop->generation()->adjustments;
   TM_ASSIGN_OR_RETURN(wanted, with_changes(present, changes));
   if (wanted.SerializeAsString() != present.SerializeAsString()) {
-    TM_RETURN_IF_ERROR(impl_->swap_world(std::move(wanted)));
+    TM_ASSIGN_OR_RETURN(cuts, read_cuts(impl_->source->scene, wanted, impl_->loop->generation()->cuts));
+    TM_RETURN_IF_ERROR(impl_->swap_world(std::move(wanted), std::move(cuts)));
   }
   v1::AdjustSceneResponse response;
   *response.mutable_status() = status();
@@ -283,7 +304,20 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Adjust& adjust, const EditPoin
   if (!source) return fail(ErrorCode::kFailedPrecondition, "the scene was not loaded from a message");
   const std::lock_guard lock(adjusting);
   TM_ASSIGN_OR_RETURN(wanted, with_changes(loop->generation()->adjustments, adjust.values));
-  TM_RETURN_IF_ERROR(swap_world(std::move(wanted)));
+  TM_ASSIGN_OR_RETURN(cuts, read_cuts(source->scene, wanted, loop->generation()->cuts));
+  TM_RETURN_IF_ERROR(swap_world(std::move(wanted), std::move(cuts)));
+  return loop->status().make();
+}
+
+/// A cut is an adjustment of the values, so that recordings and snapshots have it.
+Result<v1::SceneStatus> Runner::Impl::cut(const v1::SceneEdit& edit) {
+  if (!source) return fail(ErrorCode::kFailedPrecondition, "the scene was not loaded from a message");
+  const std::lock_guard lock(adjusting);
+  const GenerationPointer present = loop->generation();
+  TM_ASSIGN_OR_RETURN(cuts, cut_edges(source->scene, edit, present->cuts));
+  v1::SceneAdjustments wanted = present->adjustments;
+  write_cuts(cuts, wanted);
+  TM_RETURN_IF_ERROR(swap_world(std::move(wanted), std::move(cuts)));
   return loop->status().make();
 }
 
@@ -298,7 +332,17 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Restore& restore, const EditPo
   }
 }
 
+/// A reset heals cuts: the scene is the one that was loaded again.
 Result<v1::SceneStatus> Runner::Impl::apply(const Reset&, const EditPointer& edit) {
+  if (source && source->scene.editing().has_cutting()) {
+    const std::lock_guard lock(adjusting);
+    if (const GenerationPointer present = loop->generation(); !present->cuts.empty()) {
+      v1::SceneAdjustments wanted = present->adjustments;
+      write_cuts({}, wanted);
+      TM_RETURN_IF_ERROR(swap_world(std::move(wanted), {}, edit));
+      return loop->status().make();
+    }
+  }
   return loop->call([&] { return loop->do_reset(edit); });
 }
 
@@ -307,18 +351,32 @@ Result<v1::SceneStatus> Runner::Impl::apply(const ChangeScene& change, const Edi
 }
 
 /// Compiles the adjusted scene while the present world steps. Then swaps the two. Needs `adjusting`.
-Result<void> Runner::Impl::swap_world(v1::SceneAdjustments wanted) {
+/// cuts: those of `wanted`. reset: the edit that takes the scene to its start; nullptr: it goes on from its state
+Result<void> Runner::Impl::swap_world(v1::SceneAdjustments wanted, model::SceneCuts cuts, const EditPointer& reset) {
   const GenerationPointer present = loop->generation();
-  TM_ASSIGN_OR_RETURN(compiled, compile_scene(adjusted(source->scene, wanted), source->options));
+  if (reset == nullptr && !has_cuts_of(cuts, present->cuts)) {
+    return fail(ErrorCode::kFailedPrecondition,
+                "changes.bodies.cuts: the scene has cuts that are not among these; reset it first, which heals them");
+  }
+  const bool same_cuts = cuts == present->cuts;
+  TM_ASSIGN_OR_RETURN(compiled, compile_scene(adjusted(source->scene, wanted), source->options, {}, cuts));
   TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
   world->set_topology_version(topology.version());  // values do not change what clients see of the mesh
-  TM_ASSERT(hash_of_layout(world->model()) == hash_of_layout(*present->model),
+  TM_ASSERT(!same_cuts || hash_of_layout(world->model()) == hash_of_layout(*present->model),
             "values do not change the order of nodes");
   const auto edit = std::make_shared<const Edit>(Adjust{wanted});
   const bool is_adjusted = wanted.SerializeAsString() != adjustments_of(source->scene).SerializeAsString();
-  const auto next = std::make_shared<const Generation>(
-      Generation{present->number + 1, world->shared_model(), compiled.scene_hash, std::move(wanted), is_adjusted});
-  return loop->call([&] { return loop->do_swap(world, next, edit); });
+  const bool has_frames = world->model().visible.count() > 0;
+  std::shared_ptr<SurfaceChanges> surface = same_cuts || !has_frames ? nullptr : changes_of(world->model(), cuts);
+  const std::uint64_t scene_hash = cuts.empty() ? compiled.scene_hash : hash_of_cut(compiled.scene_hash, wanted);
+  const auto next = std::make_shared<const Generation>(Generation{
+      present->number + 1, world->shared_model(), scene_hash, std::move(wanted), is_adjusted, std::move(cuts)});
+  Loop::Swap swap{std::move(world), next, reset == nullptr ? edit : nullptr, std::move(surface), reset == nullptr};
+  return loop->call([&]() -> Result<void> {
+    TM_RETURN_IF_ERROR(loop->do_swap(swap));
+    if (reset != nullptr) TM_RETURN_IF_ERROR(loop->do_reset(reset));
+    return {};
+  });
 }
 
 Result<void> Runner::submit_pose(std::string_view tool, const v1::ToolPose& pose, PoseSource source) {

@@ -24,6 +24,7 @@ enum class EventKind : std::uint8_t {
   kRestored,
   kGuard,  ///< a guard stopped the scene
   kHeld,   ///< a recovery began
+  kCut,    ///< value: area [m²]
 };
 
 struct SceneEvent {

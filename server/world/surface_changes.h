@@ -43,6 +43,11 @@ class SurfaceChangesMaker {
 
   /// Returns the present changes if the surface is not as at the last call, else nullptr.
   SurfaceChangesPointer take(const model::Model& model, const model::Editor& editor);
+  /// Gives changes that somebody else made the next revision.
+  SurfaceChangesPointer number(std::shared_ptr<SurfaceChanges> changes) {
+    changes->revision = ++revision_;
+    return changes;
+  }
 
  private:
   /// The newest, and two mailboxes of three slots.

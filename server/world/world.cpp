@@ -574,8 +574,8 @@ void World::take_over(const Saved& saved) {
 std::vector<double> World::positions(const model::BodyModel& body) {
   const backend::RowState state = state_->read();
   TM_ASSERT(body.node_begin + body.node_count <= model_->layout.row_of_node.size(), "a body of this model");
-  std::vector<double> out(3 * std::size_t{body.node_count});
-  for (std::uint32_t node = 0; node < body.node_count; ++node) {
+  std::vector<double> out(3 * std::size_t{body.loaded_node_count});
+  for (std::uint32_t node = 0; node < body.loaded_node_count; ++node) {
     const std::size_t row = model_->layout.row_of_node[body.node_begin + node];
     for (std::size_t c = 0; c < 3; ++c) out[3 * node + c] = model_->rest[4 * row + c] + state.displacement[4 * row + c];
   }

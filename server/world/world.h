@@ -158,7 +158,7 @@ class World {
   /// Positions that were last gathered, [visible_count, 3] m, then those of appended vertices and the room for more.
   std::span<const float> visible_positions() { return state_->visible_positions(); }
   void gather_visible() { state_->gather_visible(); }
-  /// All nodes of a body in the order of its mesh, [node_count, 3] m. Allocates; for requests.
+  /// All nodes of a body as loaded, in the order of its mesh, [node_count, 3] m. Allocates; for requests.
   std::vector<double> positions(const model::BodyModel& body);
   /// Displacement, velocity and internal variables. Allocates; for requests.
   backend::RowState state() { return state_->read(); }

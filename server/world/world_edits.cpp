@@ -31,6 +31,9 @@ Result<void> World::check_springs(std::span<const std::uint32_t> springs) const 
 }
 
 Result<void> World::edit(std::span<const model::Ablation> ablations, std::span<const std::uint32_t> springs) {
+  if (!editor_ && model_->editing && !ablations.empty()) {
+    return fail(ErrorCode::kFailedPrecondition, "a scene with editing.cutting cannot ablate yet; leave cutting out");
+  }
   if (!editor_ && !ablations.empty()) {
     return fail(ErrorCode::kFailedPrecondition,
                 "the scene has no room for ablation; load it with scene.editing, an empty message is enough");

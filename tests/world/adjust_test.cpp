@@ -296,7 +296,7 @@ TEST_P(Adjusting, ARestoreMeetsTheValuesBeforeOrAfter) {
 /// A world that cannot take the state over is dropped, and the scene steps on with the one that it has.
 TEST_P(Adjusting, AWorldThatCannotTakeOverChangesNothing) {
   auto world = start(sagging_beam());
-  const auto first = std::make_shared<const Generation>(Generation{0, world->shared_model(), 1, {}, false});
+  const auto first = std::make_shared<const Generation>(Generation{0, world->shared_model(), 1, {}, false, {}});
   Loop loop(GetParam(), std::move(world), first);
   const auto positions_now = [&] { return loop.call([&] { return loop.do_positions("beam"); }).value().positions(); };
   ASSERT_TRUE(loop.call([&] { return loop.do_step(3); }));
@@ -310,8 +310,9 @@ TEST_P(Adjusting, AWorldThatCannotTakeOverChangesNothing) {
       });
   auto broken = start(sagging_beam());
   SetUp();  // the working backend again
-  const auto second = std::make_shared<const Generation>(Generation{1, broken->shared_model(), 2, {}, true});
-  EXPECT_REFUSED(loop.call([&] { return loop.do_swap(broken, second, edit); }), ErrorCode::kUnavailable,
+  const auto second = std::make_shared<const Generation>(Generation{1, broken->shared_model(), 2, {}, true, {}});
+  Loop::Swap fails{std::move(broken), second, edit, nullptr};
+  EXPECT_REFUSED(loop.call([&] { return loop.do_swap(fails); }), ErrorCode::kUnavailable,
                  "injected; the scene is unchanged");
   EXPECT_EQ(loop.generation(), first);
   EXPECT_EQ(positions_now(), before);
@@ -319,11 +320,12 @@ TEST_P(Adjusting, AWorldThatCannotTakeOverChangesNothing) {
   ASSERT_TRUE(loop.call([&] { return loop.do_step(1); }));
 
   auto sound = start(sagging_beam());
-  const auto third = std::make_shared<const Generation>(Generation{1, sound->shared_model(), 2, {}, true});
+  const auto third = std::make_shared<const Generation>(Generation{1, sound->shared_model(), 2, {}, true, {}});
   const std::string later = positions_now();
-  ASSERT_TRUE(loop.call([&] { return loop.do_swap(sound, third, edit); }));
+  Loop::Swap swap{std::move(sound), third, edit, nullptr};
+  ASSERT_TRUE(loop.call([&] { return loop.do_swap(swap); }));
   EXPECT_EQ(loop.generation(), third);
-  EXPECT_EQ(&sound->model(), first->model.get()) << "the caller ends the world before";
+  EXPECT_EQ(&swap.world->model(), first->model.get()) << "the caller ends the world before";
   EXPECT_EQ(positions_now(), later);
 }
 

@@ -238,7 +238,7 @@ TEST(Messages, EventsSayInWordsWhatHappened) {
   EXPECT_EQ(events.events(1).text(), "1 spring severed");
   EXPECT_FALSE(events.events(1).has_position_m());
   EXPECT_NE(events.events(2).text().find("the tissue was held"), std::string::npos) << events.events(2).text();
-  for (int kind = v1::SceneEvent::KIND_ABLATED; kind <= v1::SceneEvent::KIND_HELD; ++kind) {
+  for (int kind = v1::SceneEvent::KIND_ABLATED; kind <= v1::SceneEvent::KIND_CUT; ++kind) {
     EventsSlot one{{}, 1};
     one.log.add({.kind = static_cast<EventKind>(kind)}, 1);
     fill_events(model, one, events);

@@ -40,14 +40,14 @@ class ARecording : public testing::Test {
     const v1::Scene scene = tests::block_with_probe(false, 4);
     auto compiled = model::compile(scene, backend->patch_policy(model::requested_cpu_threads(scene)));
     if (!compiled) throw std::runtime_error(compiled.error().message);
-    model = std::make_unique<model::Model>(std::move(*compiled));
+    model = std::make_shared<const model::Model>(std::move(*compiled));
   }
 
   static void end_steps(Recording& recording, std::uint64_t count) {
     for (std::uint64_t i = 0; i < count; ++i) recording.end_step({.step = i + 1, .cg_limit = 7});
   }
 
-  std::unique_ptr<model::Model> model;
+  std::shared_ptr<const model::Model> model;
   v1::RecordSceneResponse response;
 };
 
@@ -137,7 +137,7 @@ TEST_F(ARecording, CountsChecksThatFindNoRoom) {
     end_steps(recording, 1);
     if (!recording.check_due()) continue;
     ++due;
-    recording.take_check(i + 1, {zeros, zeros, {}, 0});
+    recording.take_check(i + 1, {zeros, zeros, {}, 0}, model);
   }
   EXPECT_EQ(due, 3);
   ASSERT_TRUE(recording.take(response));

@@ -28,13 +28,13 @@ class Event:
     step: int
     #: On the server's clock, nanoseconds since the Unix epoch.
     server_time_ns: int
-    #: ablated, piece_free, severed, adjusted, reset, restored, guard or held; its number if it is of a newer daemon.
+    #: ablated, piece_free, severed, adjusted, reset, restored, guard, held or cut; its number if of a newer daemon.
     kind: str
     #: Name of the body; empty: none in particular.
     body: str
     #: Name of the tool; empty: none in particular.
     tool: str
-    #: What it counts follows from `kind`: a volume [m³], or a number of springs.
+    #: What it counts follows from `kind`: a volume [m³], an area [m²], or a number of springs.
     value: float
     #: Where it happened, [3] m; None: nowhere in particular.
     position_m: npt.NDArray[np.float64] | None

@@ -30,11 +30,12 @@ from tensormass._src.events import EventStream
 from tensormass._src.fields import FieldName, Fields, field_numbers
 from tensormass._src.frames import Feedback, Frame, find_tool, fits
 from tensormass._src.poses import PoseSender, PoseSequence
+from tensormass._src.scene_edits import cut_of, edit_of
 from tensormass._src.scene_report import REPORT_FIELDS, report_path, write_report
 from tensormass._src.step_record import StepRecord
 from tensormass._src.streams import Closing, Transport
 from tensormass._src.subscriptions import Subscription
-from tensormass.v1 import changes_pb2, control_pb2, edit_pb2, event_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import changes_pb2, control_pb2, event_pb2, scene_pb2, stream_pb2
 
 
 class SceneHandle:
@@ -329,13 +330,34 @@ class SceneHandle:
                 without `editing`.
             ResourceExhaustedError: no room for the surface that would come to light.
         """
-        change = edit_pb2.SceneEdit()
-        for body, elements in (ablate or {}).items():
-            change.ablations.add(body=body, elements=elements, kept=[kept])
-        for attachment, springs in (sever or {}).items():
-            change.severings.add(attachment=attachment, springs=[] if springs is None else springs)
-        request = control_pb2.EditSceneRequest(scene=self.name, edit=change)
+        request = control_pb2.EditSceneRequest(scene=self.name, edit=edit_of(ablate or {}, kept, sever or {}))
         return self._connection.call("EditScene", request).status
+
+    def cut(self, body: str, blade: npt.ArrayLike) -> stream_pb2.SceneStatus:
+        """Cuts a body along the way of a blade, and goes on from the present state.
+
+            scene.cut("liver", [[[0, 0.1, 0], [0, 0.1, 0.05]],   # a blade of two points above the liver,
+                                [[0, 0.0, 0], [0, 0.0, 0.05]]])  # and after it went down
+
+        Takes as long as a load, but the scene stops for the time of a few steps only. A reset heals everything. What is
+        not possible yet: docs/decisions/cutting.md.
+
+        Args:
+            body: its name. The scene must have `editing.cutting`.
+            blade: [position, point, 3] m, two or more of each: a line that cuts, at its positions one after the other,
+                where the body's mesh is at rest.
+
+        Returns:
+            The status.
+
+        Raises:
+            NotFoundError: no such body.
+            InvalidArgumentError: a blade that crosses no edge of the body's mesh, or a body that cannot be cut.
+            FailedPreconditionError: a scene without `editing.cutting`.
+            ResourceExhaustedError: no room for the surface that would come to light.
+        """
+        request = control_pb2.EditSceneRequest(scene=self.name, edit=cut_of(body, blade))
+        return self._connection.call("EditScene", request, timeout_s=LOAD_TIMEOUT_S).status
 
     def adjust(
         self,

@@ -55,6 +55,7 @@ CONTACT_APART_S = 0.5
 MARKED_EVENTS = frozenset(
     {
         event_pb2.SceneEvent.KIND_ABLATED,
+        event_pb2.SceneEvent.KIND_CUT,
         event_pb2.SceneEvent.KIND_PIECE_FREE,
         event_pb2.SceneEvent.KIND_SEVERED,
     }

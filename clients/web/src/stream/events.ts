@@ -32,6 +32,8 @@ export function eventLabel({ kind }: Pick<SceneEvent, "kind">): string {
       return "stopped";
     case Kind.HELD:
       return "recovery";
+    case Kind.CUT:
+      return "cut";
     default:
       return "event";
   }

@@ -1,0 +1,16 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+/// Limits of cuts. Error messages name the limit by its identifier.
+namespace tensormass::limits {
+
+/// Points of a blade, and positions of it in one cut; a cut with more is refused.
+inline constexpr std::size_t kMaxBladePoints = 32, kMaxBladePositions = 1024;
+/// Cuts of a body until a reset; a further one is refused. Whoever joins a scene has all of them made again.
+inline constexpr std::size_t kMaxCutsOfBody = 1024;
+/// Edges of a body's mesh that one cut may cross; a cut of more is refused.
+inline constexpr std::uint32_t kMaxEdgesOfCut = 1'000'000;
+
+}  // namespace tensormass::limits

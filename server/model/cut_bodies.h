@@ -1,0 +1,121 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "core/result.h"
+#include "mesh/cut.h"
+#include "mesh/cut_changes.h"
+#include "mesh/surface.h"
+#include "model/compile_parts.h"
+#include "model/read_parts.h"
+#include "model/tetrahedron_rings.h"
+#include "physics/element/quadrature.h"
+
+/// Bodies that are cut apart, as meshes that the other parts of the compiler read like any other.
+///
+///   mesh as loaded ──mesh::Cut──> cut edges, parts, virtual nodes ──cut_apart──> mesh with copies
+///
+///                  4 ─── 5                 4 ─── 5            Element A = (0 1 4), cut at edges 0-4 and 1-4:
+///                  │╲ B  │                 │╲ B  │
+///                  │A ╲  │                 a'── b'            its place    (0 1 c')   has the corners 0 and 1
+///                  0 ─── 1                 ..................
+///                                          0 ─ c'─ 1          a copy       (a' b' 4)  has the corner 4
+///
+/// A part of an element is a copy of it: the same shape and gradients, weights times what it has of each quadrature
+/// point, masses times what it has of each node's. The part with the lowest corner has the place of the element, the
+/// others follow the elements as loaded. Virtual nodes follow the nodes as loaded. No number changes when a body is cut
+/// further.
+///
+/// Sources: Molino, Bao, Fedkiw 2004 (virtual nodes); Hansbo, Hansbo 2004 (the same functions as an enrichment).
+namespace tensormass::model {
+
+/// One cut of a body, and what the numbers of its parts and vertices depend on.
+struct CutBatch {
+  std::uint32_t order = 0;              ///< grows with each cut of the scene, whatever body it is in
+  std::vector<mesh::CutEdge> edges;     ///< as they were crossed; the first crossing of an edge counts
+  std::uint32_t appended_vertices = 0;  ///< after it, of this body
+};
+
+/// The cuts of a body. Scenes share it, so it must not change once a scene has it: cut a copy.
+class BodyCut {
+ public:
+  /// body: whole. Fails if it has a shape whose parts the physics does not know yet.
+  static Result<std::unique_ptr<BodyCut>> make(const ReadBody& body);
+  /// Returns a body with the same cuts, to be cut further.
+  std::unique_ptr<BodyCut> copy() const;
+
+  /// Makes a cut. Fails, and leaves the body as it was, if an edge does not exist or a reserve is used up.
+  Result<void> make_cut(std::uint32_t order, std::vector<mesh::CutEdge> edges);
+
+  const mesh::Mesh& mesh() const { return mesh_; }  ///< as loaded
+  const mesh::CutTopology& topology() const { return topology_; }
+  const mesh::Surface& surface() const { return surface_; }         ///< boundary of the mesh as loaded
+  const std::vector<ElementRing>& rings() const { return rings_; }  ///< those of the whole body
+  const mesh::Cut& cut() const { return cut_; }
+  const mesh::CutChanges& changes() const { return changes_; }
+  const std::vector<CutBatch>& batches() const { return batches_; }
+  double area_m2() const { return area_m2_; }  ///< sum over all cuts, one side of each
+
+  BodyCut(const BodyCut&) = delete;
+  BodyCut& operator=(const BodyCut&) = delete;
+
+ private:
+  BodyCut(mesh::Mesh mesh, std::vector<ElementRing> rings);
+
+  mesh::Mesh mesh_;
+  mesh::CutTopology topology_{mesh_};
+  mesh::Surface surface_{mesh::boundary(mesh_)};
+  std::vector<ElementRing> rings_;
+  mesh::Cut cut_;
+  mesh::CutChanges changes_{surface_};
+  std::vector<CutBatch> batches_;
+  double area_m2_ = 0;
+};
+
+/// Returns where each appended vertex of each body is among those of the scene: [body][vertex]. Later cuts append.
+std::vector<std::vector<std::uint32_t>> places_of_appended(const SceneCuts& cuts);
+
+/// Returns the bodies with the copies that their cuts make.
+Result<ReadBodies> cut_apart(ReadBodies whole, const SceneCuts& cuts);
+
+/// A copy of an element, or an element that is whole.
+struct ElementPart {
+  std::uint32_t loaded;                      ///< the element as loaded, numbered in the body
+  std::uint32_t part;                        ///< index into Cut::parts; mesh::kNone: the element is whole
+  const mesh::PartShares* shares = nullptr;  ///< nullptr: it has all of its material
+};
+/// element: numbered in the body
+ElementPart part_of(const ReadBody& body, std::uint32_t element);
+
+/// Returns the faces that belong to one element of the mesh as loaded and that no cut crosses, with the rows of the
+/// copies that have them: what tools can touch. Numbered in the body.
+std::vector<mesh::BoundaryFace> uncut_boundary_faces(const ReadBody& body);
+
+/// Returns what is left of the rings of a body that is cut: members that still hang together by their faces.
+std::vector<ElementRing> rings_of_cut(const ReadBody& body);
+
+/// Returns what a copy has of each quadrature point; empty: the element is whole.
+///
+/// weights: of the points of the whole element [m³], in the order of physics::rest_points. rule: of its shape, in full
+std::vector<double> point_shares_of(const ReadBody& body, const ElementPart& part, std::span<const double> weights,
+                                    const physics::QuadratureRule& rule);
+
+/// Multiplies the weights of an element's quadrature points by what a copy has of them. A point without any gets
+/// zero gradients too, so it does nothing.
+template <class Shape>
+void take_part(const ReadBody& body, std::uint32_t element, physics::ElementAtRest<Shape>& rest) {
+  const ElementPart part = part_of(body, element);
+  if (part.shares == nullptr) return;
+  std::vector<double> weights;
+  for (const auto& point : rest.points) weights.push_back(point.back());
+  const std::vector<double> shares = point_shares_of(body, part, weights, Shape::full_rule());
+  for (std::size_t q = 0; q < shares.size(); ++q) {
+    rest.points[q].back() *= shares[q];
+    if (!(shares[q] > 0)) rest.points[q].fill(0);
+  }
+}
+
+}  // namespace tensormass::model

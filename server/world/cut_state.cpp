@@ -1,0 +1,167 @@
+#include "world/cut_state.h"
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <utility>
+#include <vector>
+
+#include "core/assert.h"
+
+namespace tensormass::world {
+
+namespace {
+
+using model::BodyModel;
+using model::Model;
+
+/// Finds what nodes and elements of a scene were before it was cut further. Numbers are those of the scenes.
+class Ancestors {
+ public:
+  Ancestors(const Model& before, const Model& after) {
+    TM_ASSERT(before.bodies.size() == after.bodies.size(), "two generations of a scene have the same bodies");
+    for (std::size_t b = 0; b < after.bodies.size(); ++b) {
+      const BodyModel &old = before.bodies[b], &now = after.bodies[b];
+      TM_ASSERT(old.loaded_node_count == now.loaded_node_count && old.node_count <= now.node_count &&
+                    old.loaded_element_count == now.loaded_element_count && old.element_count <= now.element_count,
+                "cuts only add");
+      append(old.node_begin, old.node_count, now.node_count, now.loaded_node_count, now.node_copies, nodes);
+      append(old.element_begin, old.element_count, now.element_count, now.loaded_element_count, now.element_copies,
+             elements);
+    }
+  }
+
+  std::vector<std::uint32_t> nodes, elements;  // [of the scene after] the one before
+
+ private:
+  /// Appends those of a body. A copy comes after its parent.
+  static void append(std::uint32_t old_begin, std::uint32_t old_count, std::uint32_t count, std::uint32_t loaded,
+                     const std::vector<model::CutCopy>& copies, std::vector<std::uint32_t>& out) {
+    const std::size_t first = out.size();
+    for (std::uint32_t i = 0; i < count; ++i) {
+      out.push_back(i < old_count ? old_begin + i : out[first + copies[i - loaded].parent]);
+    }
+  }
+};
+
+std::vector<double> of_nodes(const std::vector<double>& values, const std::vector<std::uint32_t>& before) {
+  if (values.empty()) return {};
+  std::vector<double> out;
+  out.reserve(3 * before.size());
+  for (const std::uint32_t node : before) {
+    const auto at = values.begin() + 3 * std::ptrdiff_t{node};
+    out.insert(out.end(), at, at + 3);
+  }
+  return out;
+}
+
+/// Returns the elements of a group in the order of a NodeState.
+std::vector<std::uint32_t> elements_of(const model::ElementGroup& group) {
+  std::vector<std::uint32_t> out = group.elements;
+  std::erase(out, mesh::kNone);
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+/// Returns where the internal variables of each element begin: [element] mesh::kNone: it has none.
+/// reals: [element] how many it has
+std::vector<std::size_t> begins_of_variables(const Model& m, std::vector<std::size_t>& reals) {
+  const BodyModel& last = m.bodies.back();
+  std::vector<std::size_t> out(last.element_begin + last.element_count, mesh::kNone);
+  reals.assign(out.size(), 0);
+  std::size_t next = 0;
+  for (const model::ElementGroup& group : m.groups) {
+    const std::size_t count = std::size_t{group.point_count} * group.prony.size() * physics::kSymmetricReals;
+    if (count == 0) continue;
+    for (const std::uint32_t element : elements_of(group)) {
+      out[element] = next;
+      reals[element] = count;
+      next += count;
+    }
+  }
+  return out;
+}
+
+std::vector<double> of_elements(const Model& before, const NodeState& state, const Model& after,
+                                const std::vector<std::uint32_t>& ancestors) {
+  if (state.internal_variables.empty()) return {};
+  std::vector<std::size_t> reals, reals_before;
+  const std::vector<std::size_t> begins = begins_of_variables(after, reals),
+                                 begins_before = begins_of_variables(before, reals_before);
+  std::vector<double> out(sizes_of(after).internal_variables);
+  for (std::size_t element = 0; element < begins.size(); ++element) {
+    const std::uint32_t from = ancestors[element];
+    TM_ASSERT(reals[element] == reals_before[from], "a copy has the material of its element");
+    if (reals[element] == 0) continue;
+    std::copy_n(state.internal_variables.begin() + std::ptrdiff_t(begins_before[from]), reals[element],
+                out.begin() + std::ptrdiff_t(begins[element]));
+  }
+  return out;
+}
+
+/// A triangle by what it is in the mesh as loaded: its body, and its corners numbered there.
+using TriangleKey = std::array<std::uint32_t, 4>;
+
+/// Calls visit(key, place) for each triangle of the contact surface in the order of a NodeState.
+template <class Visit>
+void for_each_triangle(const Model& m, const Visit& visit) {
+  std::vector<std::uint32_t> first_nodes;
+  std::vector<TriangleKey> keys;
+  for (std::size_t t = 0; t < m.contact.triangle_count(); ++t) {
+    std::array<std::uint32_t, 3> nodes;
+    for (std::size_t c = 0; c < 3; ++c) nodes[c] = m.layout.node_of_row[m.contact.triangle_rows[3 * t + c]];
+    const auto body = static_cast<std::uint32_t>(m.body_of_node(nodes[0]));
+    const std::uint32_t begin = m.bodies[body].node_begin;
+    first_nodes.push_back(nodes[0]);
+    keys.push_back({body, nodes[0] - begin, nodes[1] - begin, nodes[2] - begin});
+  }
+  std::vector<std::uint32_t> order(keys.size());
+  for (std::uint32_t t = 0; t < order.size(); ++t) order[t] = t;
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::uint32_t a, std::uint32_t b) { return first_nodes[a] < first_nodes[b]; });
+  for (std::size_t place = 0; place < order.size(); ++place) visit(keys[order[place]], place);
+}
+
+std::vector<double> of_triangles(const Model& before, const NodeState& state, const Model& after) {
+  if (state.slips.empty()) return {};
+  const std::size_t reals = state.slips.size() / before.contact.triangle_count();
+  std::map<TriangleKey, std::size_t> places;
+  for_each_triangle(before, [&](const TriangleKey& key, std::size_t place) { places.emplace(key, place); });
+  std::vector<double> out(reals * after.contact.triangle_count(), 0.0);
+  for_each_triangle(after, [&](const TriangleKey& key, std::size_t place) {
+    const auto found = places.find(key);
+    if (found == places.end()) return;
+    std::copy_n(state.slips.begin() + std::ptrdiff_t(reals * found->second), reals,
+                out.begin() + std::ptrdiff_t(reals * place));
+  });
+  return out;
+}
+
+}  // namespace
+
+Result<NodeState> cut_state(const Model& before, const NodeState& state, const Model& after) {
+  if (before.links.contacts_remember()) {
+    return invalid("a scene with body_contacts cannot be cut yet; leave them out");
+  }
+  const auto is_memory_of_clusters = [](const model::ElementGroup& group) {
+    return group.has_clusters() && !group.prony.empty();
+  };
+  if (std::any_of(before.groups.begin(), before.groups.end(), is_memory_of_clusters)) {
+    return invalid(
+        "a viscoelastic body of tetrahedra with selective quadrature cannot be cut yet; leave prony or quadrature out");
+  }
+  const Ancestors ancestors(before, after);
+  NodeState out = state;
+  for (std::vector<double> NodeState::*const values :
+       {&NodeState::displacement, &NodeState::velocity, &NodeState::previous_displacement,
+        &NodeState::previous_velocity, &NodeState::solution}) {
+    out.*values = of_nodes(state.*values, ancestors.nodes);
+  }
+  out.internal_variables = of_elements(before, state, after, ancestors.elements);
+  out.slips = of_triangles(before, state, after);
+  return out;
+}
+
+}  // namespace tensormass::world

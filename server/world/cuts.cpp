@@ -1,0 +1,341 @@
+#include "world/cuts.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "core/cut_limits.h"
+#include "core/names.h"
+#include "mesh/cut_search.h"
+#include "model/progress.h"
+#include "model/read_parts.h"
+
+namespace tensormass::world {
+
+namespace {
+
+using model::BodyCut;
+using model::SceneCuts;
+
+/// The bodies of the loaded scene, read when the first of them is cut.
+class LoadedBodies {
+ public:
+  explicit LoadedBodies(const v1::Scene& loaded) : loaded_(loaded) {}
+
+  /// Returns a body without cuts.
+  Result<std::unique_ptr<BodyCut>> whole(std::size_t body) {
+    if (!bodies_) {
+      TM_ASSIGN_OR_RETURN(read, model::read_bodies(loaded_, {}));
+      bodies_ = std::move(read);
+    }
+    return BodyCut::make(bodies_->bodies[body]);
+  }
+
+ private:
+  const v1::Scene& loaded_;
+  std::optional<model::ReadBodies> bodies_;
+};
+
+template <class T>
+Result<std::vector<T>> read_items(const std::string& bytes, std::string_view where) {
+  if (bytes.size() % sizeof(T) != 0) {
+    return invalid(fmt::format("{}: {} bytes are not whole numbers of {}", where, bytes.size(), sizeof(T)));
+  }
+  std::vector<T> out(bytes.size() / sizeof(T));
+  if (!out.empty()) std::memcpy(out.data(), bytes.data(), bytes.size());
+  return out;
+}
+
+/// Cuts as their message has them: what a sender may have made up.
+struct ListedCuts {
+  std::vector<std::uint32_t> ends, counts, orders;
+  std::vector<double> crossings;
+};
+
+Result<ListedCuts> read_list(const v1::MeshCuts& message, std::string_view where) {
+  ListedCuts out;
+  TM_ASSIGN_OR_RETURN(ends, read_items<std::uint32_t>(message.edges(), fmt::format("{}.edges", where)));
+  TM_ASSIGN_OR_RETURN(crossings, read_items<double>(message.crossings(), fmt::format("{}.crossings", where)));
+  TM_ASSIGN_OR_RETURN(counts, read_items<std::uint32_t>(message.counts(), fmt::format("{}.counts", where)));
+  TM_ASSIGN_OR_RETURN(orders, read_items<std::uint32_t>(message.orders(), fmt::format("{}.orders", where)));
+  std::uint64_t edges = 0;
+  for (const std::uint32_t count : counts) edges += count;
+  if (ends.size() != 2 * edges || crossings.size() != edges || orders.size() != counts.size()) {
+    return invalid(fmt::format("{}: {} ends, {} crossings and {} orders do not fit {} cuts of {} edges", where,
+                               ends.size(), crossings.size(), orders.size(), counts.size(), edges));
+  }
+  if (counts.size() > limits::kMaxCutsOfBody) {
+    return fail(ErrorCode::kResourceExhausted, fmt::format("{}: {} cuts, more than limits::kMaxCutsOfBody = {}", where,
+                                                           counts.size(), limits::kMaxCutsOfBody));
+  }
+  if (std::adjacent_find(orders.begin(), orders.end(), std::greater_equal<>()) != orders.end()) {
+    return invalid(fmt::format("{}.orders: they do not ascend", where));
+  }
+  return ListedCuts{std::move(ends), std::move(counts), std::move(orders), std::move(crossings)};
+}
+
+Result<std::vector<mesh::CutEdge>> edges_of(const mesh::CutTopology& topology, const ListedCuts& list,
+                                            std::size_t first, std::size_t count, std::string_view where) {
+  std::vector<mesh::CutEdge> out;
+  for (std::size_t i = first; i < first + count; ++i) {
+    const std::uint32_t a = list.ends[2 * i], b = list.ends[2 * i + 1];
+    const bool are_nodes = a < b && b < topology.node_count();
+    const std::uint32_t edge = are_nodes ? topology.edge_between(a, b) : mesh::kNone;
+    if (edge == mesh::kNone) return invalid(fmt::format("{}.edges[{}]: no edge from node {} to {}", where, i, a, b));
+    if (!(list.crossings[i] >= 0 && list.crossings[i] <= 1)) {
+      return invalid(fmt::format("{}.crossings[{}]: {} is not from 0 to 1", where, i, list.crossings[i]));
+    }
+    out.push_back({edge, list.crossings[i]});
+  }
+  return out;
+}
+
+/// How many of the first cuts of a body a list has.
+std::size_t cuts_in_common(const BodyCut& body, const ListedCuts& list) {
+  std::size_t first = 0, cuts = 0;
+  for (const model::CutBatch& batch : body.batches()) {
+    if (cuts == list.counts.size() || list.counts[cuts] != batch.edges.size() || list.orders[cuts] != batch.order) {
+      return cuts;
+    }
+    for (const mesh::CutEdge& edge : batch.edges) {
+      const mesh::EdgeEnds ends = body.topology().ends(edge.edge);
+      if (list.ends[2 * first] != ends[0] || list.ends[2 * first + 1] != ends[1] ||
+          list.crossings[first] != edge.crossing) {
+        return cuts;
+      }
+      ++first;
+    }
+    ++cuts;
+  }
+  return cuts;
+}
+
+Result<std::shared_ptr<const BodyCut>> read_body(const v1::MeshCuts& message, std::size_t body,
+                                                 const std::shared_ptr<const BodyCut>& present, LoadedBodies& loaded,
+                                                 std::string_view where) {
+  TM_ASSIGN_OR_RETURN(list, read_list(message, where));
+  if (list.counts.empty()) return std::shared_ptr<const BodyCut>();
+  const std::size_t common = present == nullptr ? 0 : cuts_in_common(*present, list);
+  const bool goes_on = present != nullptr && common == present->batches().size();
+  if (goes_on && common == list.counts.size()) return present;
+  std::unique_ptr<BodyCut> out;
+  if (goes_on) {
+    out = present->copy();
+  } else {
+    TM_ASSIGN_OR_RETURN(whole, loaded.whole(body));
+    out = std::move(whole);
+  }
+  std::size_t first = 0;
+  for (std::size_t cut = 0; cut < list.counts.size(); first += list.counts[cut++]) {
+    if (cut < out->batches().size()) continue;
+    TM_ASSIGN_OR_RETURN(edges, edges_of(out->topology(), list, first, list.counts[cut], where));
+    if (auto made = out->make_cut(list.orders[cut], std::move(edges)); !made) {
+      return fail(made.error().code, fmt::format("{}: {}", where, made.error().message));
+    }
+  }
+  return std::shared_ptr<const BodyCut>(std::move(out));
+}
+
+/// Returns the edges that a blade crosses on its way, each once.
+Result<std::vector<mesh::CutEdge>> crossed_edges(const BodyCut& body, const v1::Cut& cut, std::string_view where) {
+  const auto positions = static_cast<std::size_t>(cut.blade_size());
+  if (positions < 2 || positions > limits::kMaxBladePositions) {
+    return invalid(fmt::format("{}.blade: {} positions; give 2 to limits::kMaxBladePositions = {}", where, positions,
+                               limits::kMaxBladePositions));
+  }
+  std::vector<std::vector<Eigen::Vector3d>> blade;
+  for (int i = 0; i < cut.blade_size(); ++i) {
+    const auto& numbers = cut.blade(i).points_m();
+    const auto points = static_cast<std::size_t>(numbers.size()) / 3;
+    if (numbers.size() % 3 != 0 || points < 2 || points > limits::kMaxBladePoints) {
+      return invalid(
+          fmt::format("{}.blade[{}].points_m: {} numbers; give 3 for each of 2 to limits::kMaxBladePoints = "
+                      "{} points",
+                      where, i, numbers.size(), limits::kMaxBladePoints));
+    }
+    if (i > 0 && points != blade.front().size()) {
+      return invalid(fmt::format("{}.blade[{}].points_m: {} points, and {} before; a blade keeps its points", where, i,
+                                 points, blade.front().size()));
+    }
+    std::vector<Eigen::Vector3d>& at = blade.emplace_back();
+    for (std::size_t p = 0; p < points; ++p) {
+      const int first = static_cast<int>(3 * p);
+      at.emplace_back(numbers[first], numbers[first + 1], numbers[first + 2]);
+    }
+  }
+  mesh::CutSearch search(body.topology());
+  std::vector<mesh::CutEdge> room(body.topology().edge_count()), out;
+  std::vector<bool> met(room.size(), false);
+  for (std::size_t i = 1; i < blade.size(); ++i) {
+    const mesh::Sweep sweep = search.sweep(blade[i - 1], blade[i], room);
+    if (sweep.refused) return invalid(fmt::format("{}.blade[{}]: {}", where, i, words(sweep.refusal)));
+    for (const mesh::CutEdge& edge : sweep.edges) {
+      if (met[edge.edge] || body.cut().is_cut(edge.edge)) continue;
+      met[edge.edge] = true;
+      out.push_back(edge);
+    }
+  }
+  if (out.empty()) {
+    return invalid(
+        fmt::format("{}.blade: it crosses no edge of body '{}' that is whole; give its positions where the "
+                    "body's mesh is at rest",
+                    where, cut.body()));
+  }
+  if (out.size() > limits::kMaxEdgesOfCut) {
+    return fail(ErrorCode::kResourceExhausted, fmt::format("{}.blade: it crosses {} edges, more than "
+                                                           "limits::kMaxEdgesOfCut = {}; make several cuts",
+                                                           where, out.size(), limits::kMaxEdgesOfCut));
+  }
+  return out;
+}
+
+template <class T>
+void append_bytes(const T& value, std::string& out) {
+  out.append(reinterpret_cast<const char*>(&value), sizeof(value));
+}
+
+std::uint32_t next_order(const SceneCuts& cuts) {
+  std::uint32_t last = 0;
+  for (const auto& body : cuts) {
+    if (body != nullptr) last = std::max(last, body->batches().back().order);
+  }
+  return last + 1;
+}
+
+}  // namespace
+
+Result<SceneCuts> read_cuts(const v1::Scene& loaded, const v1::SceneAdjustments& wanted, const SceneCuts& present) {
+  SceneCuts out(static_cast<std::size_t>(loaded.bodies_size()));
+  LoadedBodies bodies(loaded);
+  std::vector<std::uint32_t> orders;
+  for (std::size_t b = 0; b < out.size(); ++b) {
+    const v1::BodyAdjustment& body = wanted.bodies(static_cast<int>(b));
+    const auto before = present.empty() ? nullptr : present[b];
+    TM_ASSIGN_OR_RETURN(
+        cuts, read_body(body.cuts(), b, before, bodies, fmt::format("changes.bodies ('{}').cuts", body.body())));
+    if (cuts == nullptr) continue;
+    for (const model::CutBatch& batch : cuts->batches()) orders.push_back(batch.order);
+    out[b] = std::move(cuts);
+  }
+  std::sort(orders.begin(), orders.end());
+  if (std::adjacent_find(orders.begin(), orders.end()) != orders.end()) {
+    return invalid("changes.bodies.cuts.orders: two cuts have the same place among those of the scene");
+  }
+  if (orders.empty()) return SceneCuts();
+  if (!loaded.editing().has_cutting()) {
+    return fail(ErrorCode::kFailedPrecondition, "the scene has no room for cuts; load it with scene.editing.cutting");
+  }
+  return out;
+}
+
+void write_cuts(const SceneCuts& cuts, v1::SceneAdjustments& adjustments) {
+  for (int b = 0; b < adjustments.bodies_size(); ++b) {
+    v1::MeshCuts& out = *adjustments.mutable_bodies(b)->mutable_cuts();
+    out.Clear();
+    if (cuts.empty() || cuts[static_cast<std::size_t>(b)] == nullptr) continue;
+    const BodyCut& body = *cuts[static_cast<std::size_t>(b)];
+    for (const model::CutBatch& batch : body.batches()) {
+      append_bytes(static_cast<std::uint32_t>(batch.edges.size()), *out.mutable_counts());
+      append_bytes(batch.order, *out.mutable_orders());
+      for (const mesh::CutEdge& edge : batch.edges) {
+        for (const std::uint32_t end : body.topology().ends(edge.edge)) append_bytes(end, *out.mutable_edges());
+        append_bytes(edge.crossing, *out.mutable_crossings());
+      }
+    }
+  }
+}
+
+Result<SceneCuts> cut_edges(const v1::Scene& loaded, const v1::SceneEdit& edit, const SceneCuts& present) {
+  if (!edit.ablations().empty() || !edit.severings().empty()) {
+    return invalid("edit: cuts are alone in their edit; make two edits");
+  }
+  if (!loaded.editing().has_cutting()) {
+    return fail(ErrorCode::kFailedPrecondition,
+                "edit.cuts: the scene has no room for cuts; load it with scene.editing.cutting");
+  }
+  SceneCuts out = present;
+  out.resize(static_cast<std::size_t>(loaded.bodies_size()));
+  LoadedBodies bodies(loaded);
+  for (int i = 0; i < edit.cuts_size(); ++i) {
+    const v1::Cut& cut = edit.cuts(i);
+    const std::string where = fmt::format("edit.cuts[{}]", i);
+    const auto found = std::find_if(loaded.bodies().begin(), loaded.bodies().end(),
+                                    [&](const v1::Body& body) { return body.name() == cut.body(); });
+    if (found == loaded.bodies().end()) {
+      return fail(ErrorCode::kNotFound,
+                  fmt::format("{}.body: the scene has no body '{}'; it has: {}", where, cut.body(),
+                              list_names(loaded.bodies(), [](const v1::Body& body) { return body.name(); })));
+    }
+    const auto b = static_cast<std::size_t>(found - loaded.bodies().begin());
+    std::unique_ptr<BodyCut> body;
+    if (out[b] == nullptr) {
+      TM_ASSIGN_OR_RETURN(whole, bodies.whole(b));
+      body = std::move(whole);
+    } else {
+      body = out[b]->copy();
+    }
+    TM_ASSIGN_OR_RETURN(edges, crossed_edges(*body, cut, where));
+    if (auto made = body->make_cut(next_order(out), std::move(edges)); !made) {
+      return fail(made.error().code, fmt::format("{}: {}", where, made.error().message));
+    }
+    out[b] = std::move(body);
+  }
+  return out;
+}
+
+bool has_cuts_of(const SceneCuts& more, const SceneCuts& fewer) {
+  const auto count_before = [end = next_order(fewer)](const SceneCuts& cuts) {
+    std::ptrdiff_t count = 0;
+    for (const auto& body : cuts) {
+      if (body == nullptr) continue;
+      count += std::ranges::count_if(body->batches(), [&](const model::CutBatch& batch) { return batch.order < end; });
+    }
+    return count;
+  };
+  if (count_before(more) != count_before(fewer)) return false;  // a new one would come before
+  for (std::size_t b = 0; b < fewer.size(); ++b) {
+    if (fewer[b] == nullptr || (b < more.size() && more[b] == fewer[b])) continue;
+    if (b >= more.size() || more[b] == nullptr) return false;
+    const std::vector<model::CutBatch>&all = more[b]->batches(), &first = fewer[b]->batches();
+    const auto same = [](const model::CutBatch& a, const model::CutBatch& c) {
+      return a.order == c.order && std::ranges::equal(a.edges, c.edges, [](const auto& x, const auto& y) {
+               return x.edge == y.edge && x.crossing == y.crossing;
+             });
+    };
+    if (first.size() > all.size() || !std::equal(first.begin(), first.end(), all.begin(), same)) return false;
+  }
+  return true;
+}
+
+double area_of(const SceneCuts& cuts) {
+  double sum = 0;
+  for (const auto& body : cuts) sum += body == nullptr ? 0 : body->area_m2();
+  return sum;
+}
+
+std::shared_ptr<SurfaceChanges> changes_of(const model::Model& model, const SceneCuts& cuts) {
+  auto out = std::make_shared<SurfaceChanges>();
+  out->appended_vertex_count = model.visible.appended_count;
+  out->bodies.resize(model.bodies.size());
+  const std::vector<std::vector<std::uint32_t>> places = model::places_of_appended(cuts);
+  for (std::size_t b = 0; b < cuts.size(); ++b) {
+    if (cuts[b] == nullptr) continue;
+    const mesh::CutChanges& changes = cuts[b]->changes();
+    BodyChanges& body = out->bodies[b];
+    body.dead_triangles = changes.dead_triangles();
+    // Frame.positions has the ends of springs apart.
+    for (const std::uint32_t place : places[b]) body.appended_vertices.push_back(model.visible.vertex_count + place);
+    body.appended_triangles = changes.appended_triangles();
+    body.appended_kinds = changes.appended_is_cut();  // v1::BodyChanges::Face: 1 is a cut face
+  }
+  return out;
+}
+
+}  // namespace tensormass::world

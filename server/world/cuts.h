@@ -1,0 +1,39 @@
+#pragma once
+
+#include <memory>
+
+#include "core/result.h"
+#include "model/cut_bodies.h"
+#include "model/model.h"
+#include "tensormass/v1/adjustment.pb.h"
+#include "tensormass/v1/edit.pb.h"
+#include "tensormass/v1/scene.pb.h"
+#include "world/surface_changes.h"
+
+/// Cuts of a scene that steps. They are values of it, as stiffness is: a scene that is cut is the loaded scene,
+/// compiled again with its bodies cut apart, and takes the place of the present one between two steps (Loop::do_swap).
+///
+///   EditScene ──blade──> cut_edges ──────┐
+///                                        ├──> SceneCuts ──compile──> World, with cut_state of the present one
+///   a recording, AdjustScene ──read_cuts─┘
+namespace tensormass::world {
+
+/// Returns the cuts of the values `wanted`. present: those of the scene now, which they share as far as they agree.
+/// Fails if an edge or a crossing does not exist.
+Result<model::SceneCuts> read_cuts(const v1::Scene& loaded, const v1::SceneAdjustments& wanted,
+                                   const model::SceneCuts& present);
+/// Puts all cuts into the values of a scene. adjustments: adjustments_of (adjustments.h), with each body
+void write_cuts(const model::SceneCuts& cuts, v1::SceneAdjustments& adjustments);
+
+/// Returns the present cuts and those of an edit. Fails if a body or a blade is not as edit.proto says, or crosses no
+/// edge of the mesh.
+Result<model::SceneCuts> cut_edges(const v1::Scene& loaded, const v1::SceneEdit& edit, const model::SceneCuts& present);
+
+/// Whether `more` has all cuts of `fewer`, in the same order, and any others after them.
+bool has_cuts_of(const model::SceneCuts& more, const model::SceneCuts& fewer);
+/// Sum over all bodies [m²].
+double area_of(const model::SceneCuts& cuts);
+/// Returns how the surface differs from that of the loaded scene. Leaves the revision open. model: with these cuts
+std::shared_ptr<SurfaceChanges> changes_of(const model::Model& model, const model::SceneCuts& cuts);
+
+}  // namespace tensormass::world
