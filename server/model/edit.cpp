@@ -89,10 +89,23 @@ Editor::Editor(const Model& m)
     if (piece_triangle_[p] != kNone) triangle_piece_[piece_triangle_[p]] = p;
   }
   if (m.visible.count() > 0) surfaces_.resize(m.bodies.size());
-  for (BodySurface& surface : surfaces_) {
-    surface.dead_triangles.reserve(std::min(tables().max_new_triangles, kUsualSurface));
+  const SkinTables& skin = tables().skin;
+  for (std::size_t b = 0; b < surfaces_.size(); ++b) {
+    BodySurface& surface = surfaces_[b];
+    const auto of_skin = m.bodies[b].has_skin ? static_cast<std::uint32_t>(m.bodies[b].triangles.size()) : 0;
+    surface.dead_triangles.reserve(std::min(tables().max_new_triangles + of_skin, kUsualSurface));
     surface.appended_vertices.reserve(std::min(tables().max_new_vertices, kUsualSurface));
     surface.appended_triangles.reserve(std::min(tables().max_new_triangles, kUsualSurface));
+    surface.appended_kinds.reserve(std::min(tables().max_new_triangles, kUsualSurface));
+  }
+  if (!skin.empty()) {
+    heal_skin();
+    exposed_.reserve(std::min(tables().max_new_triangles, kUsualSurface));
+    torn_.reserve(is_torn_.size());
+    tearing_.reserve(is_torn_.size());
+    tearing_met_.assign(is_torn_.size(), 0);
+    foot_met_.assign(skin.feet.size(), 0);
+    piece_met_.assign(skin.piece_element.size(), 0);
   }
   gone_.reserve(kept_.size());
   batches_.reserve(kept_.size());

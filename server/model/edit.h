@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -50,11 +51,15 @@ struct ModelEdit {
   void clear();
 };
 
+/// What an appended triangle shows: the numbers of v1::BodyChanges::Face.
+enum class Face : std::uint8_t { kOuter = 0, kCut = 1, kBurnt = 2 };
+
 /// The visible surface of a body since its topology (docs/protocol.md). Vertices: those of the topology, then appended.
 struct BodySurface {
   std::vector<std::uint32_t> dead_triangles;       ///< ascending; numbered in the body, appended ones last
   std::vector<std::uint32_t> appended_vertices;    ///< places among the visible points
   std::vector<mesh::Triangle> appended_triangles;  ///< vertices numbered in the body
+  std::vector<Face> appended_kinds;                ///< [appended triangle]
 };
 
 /// Edits one model. It keeps the shares and the surfaces; the model is given with each call and is always the same.
@@ -104,6 +109,28 @@ class Editor {
   std::span<const BodySurface> surfaces() const { return surfaces_; }
   /// Grows with each change of the visible surface.
   std::uint32_t surface_revision() const { return surface_revision_; }
+  /// Calls visit(corners) for each triangle around what is left of a body with a skin. Corners are vertices of
+  /// surfaces(); a node that clients do not see is where the nearest vertex of the skin is. So the triangles are
+  /// closed, also where skin and boundary are apart.
+  template <class Visit>
+  void for_each_enclosing_triangle(const Model& m, std::size_t body, const Visit& visit) const {
+    const SkinTables& skin = tables().skin;
+    const auto visit_piece = [&](std::uint32_t piece) {
+      mesh::Triangle corners;
+      for (std::size_t c = 0; c < 3; ++c) {
+        const std::uint32_t row = tables().pieces.items[piece][c];
+        corners[c] = visible_vertex_[row] != mesh::kNone ? visible_vertex_[row] : skin.nearest_vertex[row];
+      }
+      visit(corners);
+    };
+    for (const std::uint32_t piece : skin.boundary[body]) {
+      if (!is_gone(skin.piece_element[piece])) visit_piece(piece);
+    }
+    for (const std::uint32_t piece : exposed_) {
+      if (piece_visible_[piece] != mesh::kNone && m.bodies[body].has_element(skin.piece_element[piece]))
+        visit_piece(piece);
+    }
+  }
 
  private:
   /// Calls visit(ablations) for each edit that leads to the shares.
@@ -140,14 +167,31 @@ class Editor {
   Result<void> check_surfaces(const Model& m, std::span<const Ablation> ablations) const;
   void write_surfaces(Model& m);
   const ModelEdit& heal_surfaces(Model& m);
+  void count_torn_skin(const Model& m, std::span<const Ablation> ablations, std::size_t& triangles,
+                       std::size_t& vertices) const;
   void hide(Model& m, std::uint32_t face);
   void expose(Model& m, std::uint32_t face);
   void remove_triangle(Model& m, std::uint32_t piece);
   void add_triangle(Model& m, std::uint32_t piece, std::uint32_t element);
+  bool will_go(std::uint32_t element) const { return named_[element] == 2 * check_number_ + 1; }
+  std::uint32_t append_vertex(Model& m, std::size_t body, const std::array<std::uint32_t, 4>& rows,
+                              const std::array<double, 4>& weights);
+  std::uint32_t append_triangle(const Model& m, std::size_t body, const mesh::Triangle& triangle, Face kind);
+  void show(Model& m, std::uint32_t piece, std::size_t body, Face kind);
+  void kill(std::size_t body, std::uint32_t triangle);
   std::uint32_t surface_vertex(Model& m, std::uint32_t row);
   void list_triangle(std::uint32_t triangle);
   void touch_vertex(std::uint32_t vertex);
   void find_neighbours(Model& m, std::uint32_t triangle);
+
+  // edit_skins.cpp
+  void tear_skin(const Model& m, std::uint32_t element);
+  void close_skin(Model& m);
+  void add_wall(Model& m, std::size_t body, std::uint32_t triangle, std::uint32_t side);
+  void heal_skin();
+  std::size_t body_of_skin_triangle(std::uint32_t triangle) const;
+  std::uint32_t foot_vertex(Model& m, std::size_t body, std::uint32_t vertex);
+  std::uint32_t wall_count(const Model& m, std::size_t body, std::uint32_t triangle, std::uint32_t side) const;
 
   std::shared_ptr<const EditTables> tables_;
   std::vector<double> kept_;                   // [element]
@@ -166,6 +210,12 @@ class Editor {
   std::vector<BodySurface> surfaces_;
   std::uint32_t appended_triangles_ = 0, surface_revision_ = 0;
 
+  // Skins, numbered as SkinTables.
+  std::vector<std::uint8_t> is_torn_;         // [triangle]
+  std::vector<std::uint32_t> walls_;          // [triangle, 3] first appended triangle at its edge, or mesh::kNone
+  std::vector<std::uint32_t> foot_vertices_;  // [vertex] its foot, as a vertex of its body, or mesh::kNone
+  std::vector<std::uint32_t> exposed_;        // pieces that came to light inside of bodies with skins
+
   // What the present edit has met, marked by its number.
   std::uint32_t number_ = 0;
   std::vector<std::uint32_t> row_met_, record_met_, mass_met_, linear_met_, vertex_met_;
@@ -173,6 +223,8 @@ class Editor {
   mutable std::uint32_t check_number_ = 0;
   mutable std::vector<std::uint32_t> named_;  // [element]
   mutable std::vector<std::int32_t> change_;  // [patch or surface row] triangles more than now; zeros between two calls
+  std::vector<std::uint32_t> torn_;           // skin triangles that the present edit takes
+  mutable std::vector<std::uint32_t> tearing_, tearing_met_, foot_met_, piece_met_;  // the same for a check
 };
 
 }  // namespace tensormass::model

@@ -25,14 +25,13 @@ using mesh::kNone;
 Result<void> Editor::check_surfaces(const Model& m, std::span<const Ablation> ablations) const {
   if (!has_contact() && !has_clients()) return {};
   const std::size_t patches = m.layout.patch_count, rows = m.layout.row_count;
-  const auto goes = [&](std::uint32_t element) { return named_[element] == 2 * check_number_ + 1; };
   const auto for_each_change = [&](const auto& visit) {  // visit(piece, whether it comes)
     for (const Ablation& one : ablations) {
-      if (!goes(one.element)) continue;
+      if (!will_go(one.element)) continue;
       for (const std::uint32_t face : tables().faces[one.element]) {
         const std::uint32_t behind = tables().face_behind[face];
         const bool in_sight = behind == kNone || is_gone(tables().face_element[behind]);
-        if (!in_sight && goes(tables().face_element[behind])) continue;
+        if (!in_sight && will_go(tables().face_element[behind])) continue;
         const std::uint32_t changed = in_sight ? face : behind;
         for (std::uint32_t p = tables().pieces.begin[changed]; p < tables().pieces.begin[changed + 1]; ++p) {
           visit(p, !in_sight);
@@ -51,6 +50,7 @@ Result<void> Editor::check_surfaces(const Model& m, std::span<const Ablation> ab
     }
     if (comes) ++new_triangles;
   });
+  count_torn_skin(m, ablations, new_triangles, new_vertices);
   bool fits = true;
   const ContactSurface& contact = m.contact;
   for_each_change([&](std::uint32_t piece, bool) {
@@ -99,8 +99,10 @@ Result<void> Editor::check_surfaces(const Model& m, std::span<const Ablation> ab
 void Editor::write_surfaces(Model& m) {
   if (went_.empty() || (!has_contact() && !has_clients())) return;
   vertices_.clear();
+  torn_.clear();
   for (const std::uint32_t element : went_) {
     for (const std::uint32_t face : tables().faces[element]) hide(m, face);
+    tear_skin(m, element);
   }
   for (const std::uint32_t element : went_) {
     for (const std::uint32_t face : tables().faces[element]) {
@@ -108,6 +110,7 @@ void Editor::write_surfaces(Model& m) {
       if (behind != kNone && !is_gone(tables().face_element[behind])) expose(m, behind);
     }
   }
+  close_skin(m);
   for (const std::uint32_t vertex : vertices_) {
     const std::size_t begin = m.contact.incidence_begin[vertex], end = m.contact.incidence_end[vertex];
     for (std::size_t i = begin; i < end; ++i) find_neighbours(m, m.contact.incidence[4 * i]);
@@ -123,10 +126,13 @@ void Editor::hide(Model& m, std::uint32_t face) {
   for (std::uint32_t p = tables().pieces.begin[face]; p < tables().pieces.begin[face + 1]; ++p) {
     if (piece_triangle_[p] != kNone) remove_triangle(m, p);
     if (piece_visible_[p] == kNone) continue;
-    std::vector<std::uint32_t>& dead = surfaces_[body].dead_triangles;
-    dead.insert(std::lower_bound(dead.begin(), dead.end(), piece_visible_[p]), piece_visible_[p]);
-    piece_visible_[p] = kNone;
+    kill(body, std::exchange(piece_visible_[p], kNone));
   }
+}
+
+void Editor::kill(std::size_t body, std::uint32_t triangle) {
+  std::vector<std::uint32_t>& dead = surfaces_[body].dead_triangles;
+  dead.insert(std::lower_bound(dead.begin(), dead.end(), triangle), triangle);
 }
 
 void Editor::expose(Model& m, std::uint32_t face) {
@@ -134,29 +140,46 @@ void Editor::expose(Model& m, std::uint32_t face) {
   for (std::uint32_t p = tables().pieces.begin[face]; p < tables().pieces.begin[face + 1]; ++p) {
     if (has_contact()) add_triangle(m, p, element);
     if (!has_clients()) continue;
-    const std::size_t b = m.body_of_element(element);
-    const BodyModel& body = m.bodies[b];
-    BodySurface& surface = surfaces_[b];
-    mesh::Triangle triangle;
-    for (std::size_t c = 0; c < 3; ++c) {
-      const std::uint32_t row = tables().pieces.items[p][c];
-      if (visible_vertex_[row] == kNone) {
-        visible_vertex_[row] = body.vertex_count + static_cast<std::uint32_t>(surface.appended_vertices.size());
-        const std::size_t point = std::size_t{m.visible.count()} + m.visible.appended_count++;
-        surface.appended_vertices.push_back(static_cast<std::uint32_t>(point));
-        for (std::size_t i = 0; i < 4; ++i) {
-          m.visible.rows[4 * point + i] = row;
-          m.visible.weights[4 * point + i] = i == 0 ? 1 : 0;
-        }
-        add(EditBuffer::kVisibleRows, 4 * point, 4);
-        add(EditBuffer::kVisibleWeights, 4 * point, 4);
-      }
-      triangle[c] = visible_vertex_[row];
-    }
-    piece_visible_[p] = static_cast<std::uint32_t>(body.triangles.size() + surface.appended_triangles.size());
-    surface.appended_triangles.push_back(triangle);
-    ++appended_triangles_;
+    const std::size_t body = m.body_of_element(element);
+    show(m, p, body, Face::kBurnt);
+    if (m.bodies[body].has_skin) exposed_.push_back(p);
   }
+}
+
+/// Appends a piece to what clients see.
+void Editor::show(Model& m, std::uint32_t piece, std::size_t body, Face kind) {
+  mesh::Triangle triangle;
+  for (std::size_t c = 0; c < 3; ++c) {
+    const std::uint32_t row = tables().pieces.items[piece][c];
+    if (visible_vertex_[row] == kNone) {
+      visible_vertex_[row] = append_vertex(m, body, {row, row, row, row}, {1, 0, 0, 0});
+    }
+    triangle[c] = visible_vertex_[row];
+  }
+  piece_visible_[piece] = append_triangle(m, body, triangle, kind);
+}
+
+/// Returns the number of the new vertex in its body.
+std::uint32_t Editor::append_vertex(Model& m, std::size_t body, const std::array<std::uint32_t, 4>& rows,
+                                    const std::array<double, 4>& weights) {
+  std::vector<std::uint32_t>& appended = surfaces_[body].appended_vertices;
+  const std::size_t point = std::size_t{m.visible.count()} + m.visible.appended_count++;
+  TM_ASSERT(point < m.visible.point_count(), "the edit was checked");
+  appended.push_back(static_cast<std::uint32_t>(point));
+  std::copy(rows.begin(), rows.end(), m.visible.rows.begin() + 4 * static_cast<std::ptrdiff_t>(point));
+  std::copy(weights.begin(), weights.end(), m.visible.weights.begin() + 4 * static_cast<std::ptrdiff_t>(point));
+  add(EditBuffer::kVisibleRows, 4 * point, 4);
+  add(EditBuffer::kVisibleWeights, 4 * point, 4);
+  return m.bodies[body].vertex_count + static_cast<std::uint32_t>(appended.size()) - 1;
+}
+
+/// Returns the number of the new triangle in its body.
+std::uint32_t Editor::append_triangle(const Model& m, std::size_t body, const mesh::Triangle& triangle, Face kind) {
+  BodySurface& surface = surfaces_[body];
+  surface.appended_triangles.push_back(triangle);
+  surface.appended_kinds.push_back(kind);
+  ++appended_triangles_;
+  return static_cast<std::uint32_t>(m.bodies[body].triangles.size() + surface.appended_triangles.size()) - 1;
 }
 
 void Editor::list_triangle(std::uint32_t triangle) {
@@ -299,14 +322,17 @@ const ModelEdit& Editor::heal_surfaces(Model& m) {
   }
   bool changed = false;
   for (BodySurface& surface : surfaces_) {
-    changed = changed || !surface.dead_triangles.empty();
+    // A hole inside of a body appends triangles, and none dies.
+    changed = changed || !surface.dead_triangles.empty() || !surface.appended_triangles.empty();
     surface.dead_triangles.clear();
     surface.appended_vertices.clear();
     surface.appended_triangles.clear();
+    surface.appended_kinds.clear();
   }
   if (!changed) return edit_;
   piece_visible_ = tables().piece_visible;
   visible_vertex_ = tables().visible_vertex;
+  heal_skin();
   const std::size_t first = 4 * std::size_t{m.visible.count()}, count = 4 * std::size_t{m.visible.appended_count};
   std::fill_n(m.visible.rows.begin() + static_cast<std::ptrdiff_t>(first), count, 0u);
   std::fill_n(m.visible.weights.begin() + static_cast<std::ptrdiff_t>(first), count, 0.0);

@@ -394,6 +394,7 @@ class TablesMaker {
     for (std::size_t b = 0; b < m_.bodies.size(); ++b) {
       const BodyModel& body = m_.bodies[b];
       triangles += body.triangles.size();
+      if (body.has_skin) continue;  // clients see nothing of the boundary
       for (std::uint32_t v = 0; v < body.vertex_nodes.size(); ++v) {
         out_.visible_vertex[m_.layout.row_of_node[body.node_begin + body.vertex_nodes[v]]] = v;
       }
@@ -407,13 +408,16 @@ class TablesMaker {
       }
       TM_ASSERT(next == body.triangles.size(), "clients see the boundary");
     }
+    out_.skin = make_skin_tables(m_, out_);
     const Editing& editing = *m_.editing;
     const auto growth = [](std::size_t now) { return static_cast<std::uint32_t>(now / kGrowthDivisor + kLeastGrowth); };
-    // Until a reset each face comes to light once, and each row becomes a vertex once.
+    // Until a reset each face comes to light once, and each row becomes a vertex once. So does each edge of a skin, as
+    // two triangles, and the foot of each of its vertices.
+    const std::size_t edges = 3 * out_.skin.neighbours.size();
     out_.max_new_triangles = std::min(editing.max_new_triangles.value_or(growth(triangles)),
-                                      static_cast<std::uint32_t>(out_.pieces.items.size()));
-    out_.max_new_vertices =
-        std::min(editing.max_new_vertices.value_or(growth(m_.visible.vertex_count)), m_.layout.row_count);
+                                      static_cast<std::uint32_t>(out_.pieces.items.size() + edges));
+    out_.max_new_vertices = std::min(editing.max_new_vertices.value_or(growth(m_.visible.vertex_count)),
+                                     m_.layout.row_count + static_cast<std::uint32_t>(out_.skin.feet.size()));
     m_.visible.room = out_.max_new_vertices;
     m_.visible.rows.resize(m_.visible.rows.size() + 4 * std::size_t{out_.max_new_vertices}, 0);
     m_.visible.weights.resize(m_.visible.rows.size(), 0);
@@ -428,8 +432,6 @@ class TablesMaker {
 /// Returns what a scene with editing has and cannot have yet.
 const char* unsupported(const Model& m) {
   if (!m.body_contacts.empty()) return "body_contacts";
-  if (std::any_of(m.bodies.begin(), m.bodies.end(), [](const BodyModel& body) { return body.has_skin; }))
-    return "a skin";
   return nullptr;
 }
 

@@ -18,6 +18,7 @@
 ///   corner   an element or a record at one of its rows
 ///   face     one side of an element, which is a part of the surface while no other element with material is behind it
 ///   piece    a triangle of a face; a quadrilateral has two
+///   skin     a visible surface beside the boundary of the mesh, finer or coarser than it
 namespace tensormass::model {
 
 /// Room for triangles around a vertex that comes to light.
@@ -34,6 +35,33 @@ struct Lists {
   }
   std::size_t size() const { return begin.size() - 1; }
   void end_list() { begin.push_back(static_cast<std::uint32_t>(items.size())); }
+};
+
+/// What edits of bodies with skins start from (edit_skin_tables.cpp makes it). Empty if no body has one.
+///
+///   skin       ──┬───●───┬──      a skin triangle hangs on the elements behind the pieces that it covers, and on those
+///                    ┊ foot       in which its vertices are embedded
+///   boundary   ────┬─┴──┬────
+///
+/// Triangles and vertices are numbered over all bodies: those of clients, body by body.
+struct SkinTables {
+  /// The point of the boundary nearest to a skin vertex at rest: Σ_k weights[k] · x(rows[k]).
+  struct Foot {
+    std::array<std::uint32_t, 3> rows{mesh::kNone, mesh::kNone, mesh::kNone};  ///< kNone: the vertex is on the boundary
+    std::array<double, 3> weights{};
+  };
+  std::vector<std::uint32_t> triangle_begin;  ///< [body + 1]
+  Lists<std::uint32_t> hanging;               ///< [element] skin triangles that go with it
+  Lists<std::uint32_t> covered;               ///< [triangle] pieces of the boundary
+  /// [triangle] the one across the edge from corner i to corner i + 1; mesh::kNone unless exactly two triangles meet
+  /// there and run along it in opposite directions
+  std::vector<std::array<std::uint32_t, 3>> neighbours;
+  std::vector<Foot> feet;                     ///< [vertex]
+  std::vector<std::uint32_t> nearest_vertex;  ///< [row] of the boundary: vertex in its body; else mesh::kNone
+  Lists<std::uint32_t> boundary;              ///< [body] pieces of its boundary
+  std::vector<std::uint32_t> piece_element;   ///< [piece]
+
+  bool empty() const { return triangle_begin.empty(); }
 };
 
 struct EditTables {
@@ -96,6 +124,7 @@ struct EditTables {
   std::vector<std::uint32_t> surface_vertex;   ///< [row] its vertex in `contact`, or mesh::kNone
   std::vector<std::uint32_t> visible_vertex;   ///< [row] its visible vertex, in its body, or mesh::kNone
   std::uint32_t max_new_triangles = 0, max_new_vertices = 0;  ///< Editing, with the defaults
+  SkinTables skin;
 
   std::uint32_t element_count() const { return static_cast<std::uint32_t>(volumes.size()); }
 };
@@ -104,6 +133,9 @@ struct EditTablesInput {
   const ReadBodies& bodies;
   std::span<const Cluster> clusters;
 };
+/// Makes the part for skins. The other tables of faces and rows must be there.
+SkinTables make_skin_tables(const Model& model, const EditTables& tables);
+
 /// Makes the tables of a model and gives its surfaces room for what edits bring to light. Call it last.
 /// Fails if the scene has something that cannot change yet.
 Result<void> make_editable(const EditTablesInput& input, Model& model);

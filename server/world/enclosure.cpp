@@ -21,22 +21,34 @@ Enclosure::Enclosure(const model::Model& model) {
                        .vertex_end = body.vertex_begin + body.vertex_count,
                        .triangles = body.triangles,
                        .appended = {}});
+    if (model.edit_tables) {  // so that a step with an edit allocates nothing
+      const model::EditTables& tables = *model.edit_tables;
+      const std::size_t boundary = body.has_skin ? tables.skin.boundary[b].size() : 0;
+      bodies_.back().triangles.reserve(std::max(body.triangles.size(), boundary) + tables.max_new_triangles);
+      bodies_.back().appended.reserve(tables.max_new_vertices);
+    }
     for (mesh::Triangle& triangle : bodies_.back().triangles) {
       for (std::uint32_t& corner : triangle) corner += body.vertex_begin;
     }
   }
 }
 
-void Enclosure::take(const model::Model& model, std::span<const model::BodySurface> surfaces) {
+void Enclosure::take(const model::Model& model, const model::Editor& editor) {
   for (Body& body : bodies_) {
     const model::BodyModel& loaded = model.bodies[body.place];
-    const model::BodySurface& surface = surfaces[body.place];
+    const model::BodySurface& surface = editor.surfaces()[body.place];
     const auto point = [&](std::uint32_t vertex) {
       if (vertex < loaded.vertex_count) return body.vertex_begin + vertex;
       return surface.appended_vertices[vertex - loaded.vertex_count];
     };
     body.appended = surface.appended_vertices;
     body.triangles.clear();
+    if (loaded.has_skin && !surface.appended_triangles.empty()) {
+      editor.for_each_enclosing_triangle(model, body.place, [&](const mesh::Triangle& of) {
+        body.triangles.push_back({point(of[0]), point(of[1]), point(of[2])});
+      });
+      continue;
+    }
     auto dead = surface.dead_triangles.begin();
     const std::size_t all = loaded.triangles.size() + surface.appended_triangles.size();
     for (std::size_t t = 0; t < all; ++t) {

@@ -31,8 +31,9 @@ class Enclosure {
 
   /// Whether there is no body to look at.
   bool empty() const { return bodies_.empty(); }
-  /// Takes over surfaces that edits have changed: [body], as the editor has them.
-  void take(const model::Model& model, std::span<const model::BodySurface> surfaces);
+  /// Takes over surfaces that edits have changed. A skin that was torn is not closed any more, so the boundary of what
+  /// is left takes its place.
+  void take(const model::Model& model, const model::Editor& editor);
   /// Takes the visible positions [visible_count, 3] m of this moment, which must stay until the next call.
   void update(std::span<const float> visible_m);
   /// Returns whether a body encloses a point of the tool's core with half a radius of tissue around it. The core of a

@@ -7,8 +7,6 @@
 namespace tensormass::world {
 
 namespace {
-/// v1::BodyChanges::Face of a face that comes to light where an element was burnt away.
-constexpr std::uint8_t kBurntFace = 2;
 /// Triangles and vertices that changes have room for from the start.
 constexpr std::size_t kUsual = std::size_t{1} << 16;
 }  // namespace
@@ -51,7 +49,9 @@ SurfaceChangesPointer SurfaceChangesMaker::take(const model::Model& model, const
     // A frame has the ends of springs apart from its vertices.
     for (std::uint32_t& vertex : body.appended_vertices) vertex -= model.visible.attachment_point_count();
     body.appended_triangles = surfaces[b].appended_triangles;
-    body.appended_kinds.assign(body.appended_triangles.size(), kBurntFace);
+    body.appended_kinds.resize(surfaces[b].appended_kinds.size());
+    std::transform(surfaces[b].appended_kinds.begin(), surfaces[b].appended_kinds.end(), body.appended_kinds.begin(),
+                   [](model::Face kind) { return static_cast<std::uint8_t>(kind); });
   }
   return *free;
 }

@@ -500,7 +500,7 @@ void World::diagnose() { energy_.take_elastic(diagnose_elastic_energy()); }
 void World::reset() {
   if (editor_) {
     editor_->heal(*edited_, [&](const model::ModelEdit& edit) { state_->apply(edit); });
-    enclosure_.take(*model_, editor_->surfaces());
+    enclosure_.take(*model_, *editor_);
   }
   write_start();
   std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});

@@ -91,7 +91,7 @@ void World::burn() {
 
 /// Takes over a visible surface that an edit has changed.
 void World::take_edited_surfaces() {
-  enclosure_.take(*model_, editor_->surfaces());
+  enclosure_.take(*model_, *editor_);
   if (model_->visible.count() > 0) state_->gather_visible();
 }
 
@@ -99,7 +99,7 @@ void World::take_edited_surfaces() {
 void World::take_shares(const model::Editor::Shares& shares) {
   if (!editor_) return;
   editor_->take(*edited_, shares, [&](const model::ModelEdit& edit) { state_->apply(edit); });
-  enclosure_.take(*model_, editor_->surfaces());
+  enclosure_.take(*model_, *editor_);
 }
 
 Result<void> World::check_shares(const SavedBesideTissue& saved) const {

@@ -1,6 +1,6 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [burn] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
 //
 // The default is all of them.
 //
@@ -19,6 +19,7 @@ const ROOT = join(import.meta.dirname, "..", "..");
 const { chromium } = createRequire(join(ROOT, "clients", "web", "package.json"))("playwright-core");
 const HANDS = ["retract", "grasp", "table", "demo-abdomen"];
 const PAGES = {
+  burn: takeBurn,
   demo: takeDemo,
   textured: takeTextured,
   viewer: takeViewer,
@@ -30,6 +31,9 @@ const PAGES = {
 /** Scenes of the grid. `tensormass run` loads the first one. */
 const TILES = ["retract", "grasp", "table", "two_organs"];
 const RECORDED_S = 14;
+/** Step of `burn` after which its hand draws back, and x that it then goes below [m]. */
+const BURNT_STEP = 400;
+const DRAWN_BACK_M = -0.105;
 const LONGEST_WAIT_S = 180;
 const POLLING_MS = 250;
 const QUALITY = process.env.QUALITY ?? "high";
@@ -153,6 +157,28 @@ async function takeHand(name) {
     await steady(page);
     await hideReadings(page);
     await save(page, name);
+  });
+}
+
+/** The groove of the scene `burn`, after its hand drew back. */
+async function takeBurn() {
+  await withScene("burn", async (url) => {
+    const page = await open(url, WIDE);
+    await hideReadings(page);
+    // From above, and nearer.
+    await page.mouse.move(480, 340);
+    await page.mouse.down();
+    await page.mouse.move(480, 460, { steps: 4 });
+    await page.mouse.up();
+    for (let turn = 0; turn < 4; turn += 1) {
+      await page.mouse.wheel(0, -120);
+    }
+    const drewBack = ([step, x]) => {
+      const state = window.tensormass.state();
+      return state.step >= step && state.tools[0]?.positionM[0] < x;
+    };
+    await page.waitForFunction(drewBack, [BURNT_STEP, DRAWN_BACK_M], { polling: POLLING_MS });
+    await save(page, "burn");
   });
 }
 

@@ -5,15 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import tensormass as tm
-from tensormass_tools.hand import HandScript
+from tensormass_tools.hand import HandScript, script_of
+
+FloatArray = npt.NDArray[np.float64]
 
 POWER_W, EFFICIENCY, ABLATION_J_PER_M3 = 40.0, 0.25, 2e6
 #: Volume of the largest tetrahedron of a cell of 10 mm.
 ELEMENT_M3 = 0.01**3 / 3
 PRESSED_M = (0.031, 0.029, 0.0345)
+DEADLINE_S = 30.0
+#: `Frame.faces`
+OUTER, BURNT = 0, 2
 
 
 def block(*, editing: bool = True) -> tm.Scene:
@@ -98,3 +104,56 @@ def test_refuses_levels_out_of_range(server: tm.Server, level: float) -> None:
 def test_refuses_power_without_room(server: tm.Server) -> None:
     with pytest.raises(tm.InvalidArgumentError, match=r"cautery.*editing"):
         server.load(block(editing=False))
+
+
+def front_and_back(
+    triangles: FloatArray, start: FloatArray, along: FloatArray
+) -> tuple[npt.NDArray[np.int64], FloatArray]:
+    """Returns the triangles [n, 3, 3] m that a ray meets, nearest first, and where their normals point along it."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normals = np.cross(b - a, c - a)
+    facing = normals @ along
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = ((a - start) * normals).sum(axis=1) / facing
+        points = start + distance[:, None] * along
+        sides = [(np.cross(to - of, points - of) * normals).sum(axis=1) >= 0 for of, to in ((a, b), (b, c), (c, a))]
+    met = np.flatnonzero(np.logical_and.reduce(sides) & (distance > 0))
+    order = met[np.argsort(distance[met])]
+    return order, facing[order]
+
+
+def test_the_organ_of_the_demo_burns_below_its_skin(server: tm.Server) -> None:
+    """The built-in scene under its scripted hand: a groove that nobody can look through, and that a reset heals."""
+    script = script_of("burn")
+    assert script is not None
+    hand = HandScript.read(script)
+    with server.load("burn", lockstep=True) as scene:
+        whole = len(scene.frame().triangles("liver"))
+        status = scene.follow("hook", [hand.at(step / 60) for step in range(240)])
+        assert status.removed_volume_m3 > 1e-7
+        with scene.events(timeout_s=DEADLINE_S) as events:
+            assert next(events).kind == "ablated"
+        frame = scene.frame()
+        faces = frame.faces("liver")
+        assert set(faces.tolist()) == {OUTER, BURNT}
+        assert frame.revision > 0
+        assert (faces == BURNT).sum() > 15
+        vertices, indices = frame.vertices("liver").astype(float), frame.triangles("liver")
+        assert indices.max() < len(vertices)
+        triangles = vertices[indices]
+        assert np.linalg.norm(triangles - triangles.mean(axis=1, keepdims=True), axis=2).max() < 0.015, "no spikes"
+        # Rays into the groove and its rim, from above and from the sides.
+        burnt = triangles[faces == BURNT].mean(axis=1)
+        random = np.random.default_rng(3)
+        cracks = hits = 0
+        for _ in range(400):
+            to = burnt[random.integers(len(burnt))] + random.normal(0, 0.004, 3)
+            along = random.normal(0, 1, 3) - [0, 0, 0.8]
+            along /= np.linalg.norm(along)
+            met, facing = front_and_back(triangles, to - 0.3 * along, along)
+            hits += len(met) > 0
+            cracks += len(met) > 0 and facing[0] > 0
+        assert hits > 300
+        assert cracks == 0
+        scene.reset()
+        assert len(scene.frame().triangles("liver")) == whole

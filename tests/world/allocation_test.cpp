@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "support/backends.h"
+#include "support/editing.h"
 #include "support/laws.h"
 #include "support/operator_new.h"
 #include "support/scenes.h"
@@ -85,6 +86,38 @@ TEST_P(StepLoop, AllocatesNothingForChangesAndEvents) {
     outputs.publish(true);
   }
   EXPECT_EQ(allocations.load() - before, 0u);
+}
+
+/// A tool burns elements away below a skin, after the first of them.
+TEST_P(StepLoop, AllocatesNothingWhileASkinBurns) {
+  v1::Scene scene = tests::block_with_probe(false, 10);
+  scene.mutable_stepping()->set_dt_s(0.01);
+  scene.mutable_bodies(0)->set_ablation_j_per_m3(2e6);
+  scene.mutable_tools(0)->mutable_cautery()->set_power_w(40);
+  scene.mutable_editing();
+  const mesh::Mesh mesh = tests::bodies_of(scene).bodies[0].mesh;
+  const mesh::Surface surface = mesh::boundary(mesh);
+  std::vector<double> points;
+  for (const std::uint32_t node : surface.nodes) {
+    const Vec3<double> middle(0.05, 0.025, 0.05), x = middle + 1.01 * (mesh.nodes[node] - middle);
+    points.insert(points.end(), x.begin(), x.end());
+  }
+  v1::PackedTriangles& skin = *scene.mutable_bodies(0)->mutable_skin()->mutable_packed();
+  skin.set_vertex_positions(points.data(), points.size() * sizeof(double));
+  skin.set_triangles(surface.triangles.data(), surface.triangles.size() * sizeof(mesh::Triangle));
+  const auto world = start(scene);
+  std::uint64_t before = 0;
+  std::uint32_t revision = 0;
+  for (int i = 0; i < 60; ++i) {
+    world->set_tool_target(0, {{0.051, 0.056 - 5e-5 * i, 0.049}, {1, 0, 0, 0}}, {}, kUntilTheNext, 1);
+    ASSERT_TRUE(world->step(true));
+    if (i != 20) continue;
+    before = allocations.load();
+    revision = world->editor()->surface_revision();
+  }
+  EXPECT_EQ(allocations.load() - before, 0u);
+  EXPECT_GT(world->editor()->surface_revision(), revision + 3);
+  EXPECT_GT(world->editor()->surfaces()[0].appended_triangles.size(), 20u);
 }
 
 /// Loads whose factors change in every step.
