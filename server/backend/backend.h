@@ -143,8 +143,8 @@ class SceneState {
   virtual void apply(const model::ModelEdit& edit) = 0;
   /// Copies all buffers that steps only read, in the order of their allocation; slow, for tests.
   virtual std::vector<ConstantBuffer> read_constants() = 0;
-  /// Copies which springs of attachments are broken, as view::LinksView::broken. broken: [spring_count] 1: the spring
-  /// is broken; written.
+  /// Copies which springs of attachments are broken, and by what. broken: [spring_count] view::LinksView::broken;
+  /// written.
   virtual void read_broken(std::span<std::uint8_t> broken) = 0;
   /// Measures the deformation of the elements at the present state. groups: [group_count], written.
   virtual void diagnose(std::span<GroupDiagnostics> groups) = 0;

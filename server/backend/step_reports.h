@@ -83,7 +83,7 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
 template <class Real>
 void copy_broken(std::span<const Real> from, std::span<std::uint8_t> to) {
   TM_ASSERT(from.size() == to.size(), "a flag for each spring");
-  for (std::size_t i = 0; i < from.size(); ++i) to[i] = from[i] != 0 ? 1 : 0;
+  for (std::size_t i = 0; i < from.size(); ++i) to[i] = static_cast<std::uint8_t>(from[i]);
 }
 
 }  // namespace tensormass::backend

@@ -4,6 +4,7 @@
 
 #include "contact/body_contact.h"
 #include "contact/edge_contact.h"
+#include "contact/severing.h"
 #include "view/scene.h"
 
 /// Links couple bodies within one linear system: contact between bodies, and springs that attach one to another.
@@ -143,11 +144,12 @@ TM_HOST_DEVICE void assemble_links(const Team& team, const view::StateView<Real>
   });
 }
 
-/// Stage 4, measure links: after the solve, breaks springs that are pulled too hard, takes the springs of friction to
-/// the end of the step, and reports. Reads links, displacement, velocity; writes broken, slips, their checkpoints,
-/// reports.
+/// Stage 4, measure links: after the solve, breaks springs that are pulled too hard or that a tool severs, takes the
+/// springs of friction to the end of the step, and reports. Reads links, displacement, velocity, tools; writes broken,
+/// slips, their checkpoints, reports.
 template <class Team, class Real>
-TM_HOST_DEVICE void measure_links(Team& team, const view::StateView<Real>& state, const view::LinksView<Real>& links) {
+TM_HOST_DEVICE void measure_links(Team& team, const view::StateView<Real>& state,
+                                  const view::ContactView<Real>& contact, const view::LinksView<Real>& links) {
   const bool saves = state.control->saves_checkpoint != 0;
   const auto change_made = [&](std::uint32_t row) { return view::change_made_to_end(state, row); };
   Real deepest[1] = {0}, counts[4] = {0, 0, 0, 0};  // contacts, broken springs, LinkReport::pressed_n and changed_n
@@ -182,9 +184,13 @@ TM_HOST_DEVICE void measure_links(Team& team, const view::StateView<Real>& state
       if (link.stiffness > 0) {
         const Vec3<Real> force = force_after(link, change_made);
         const Real most = links.spring_numbers[std::size_t{3} * i + 2];
-        if (force.dot(force) > most * most) links.broken[i] = 1;
+        if (force.dot(force) > most * most) links.broken[i] = view::kSpringBroken;
       }
-      counts[1] += links.broken[i];
+      if (links.broken[i] == 0) {
+        const std::uint32_t tool = tool_that_severs(state, contact, links.spring_rows + std::size_t{2} * i);
+        if (tool != kNoTool) links.broken[i] = static_cast<Real>(view::kSpringSevered + tool);
+      }
+      counts[1] += links.broken[i] != 0 ? Real(1) : Real(0);
     });
   }
   team.patch_reduce(deepest, counts);

@@ -300,10 +300,12 @@ struct ToolModel {
   physics::ToolParameters parameters{};
   Vec3<double> tip_offset_m = Vec3<double>::Zero();  ///< origin of the shape's frame in the tool's frame
   double penalty_pa_per_m = 0;                       ///< pressure of contact per depth, if the scene gives it; else 0
-  double penalty_per_m = 0;  ///< else this times E of what the tool touches; 0 if the scene gives it
-  double friction = 0;       ///< Coulomb's coefficient
-  bool keeps_force = false;  ///< augmented Lagrangian method (contact/tools.h)
-  double steepest = 0;       ///< where its contact hardens no further (contact/tools.h)
+  double penalty_per_m = 0;      ///< else this times E of what the tool touches; 0 if the scene gives it
+  double severs_m = 0;           ///< springs this near to its core are severed (contact/severing.h); 0: it severs none
+  double severing_length_m = 0;  ///< length of the core that severs, from the tip on
+  double friction = 0;           ///< Coulomb's coefficient
+  bool keeps_force = false;      ///< augmented Lagrangian method (contact/tools.h)
+  double steepest = 0;           ///< where its contact hardens no further (contact/tools.h)
   double max_speed_m_per_s = 0;
   /// Largest load on the hand [N, N m; of a joint N m or N], above which the tool gives way (world/hold.h).
   double max_force_n = 0, max_torque_n_m = 0, max_joint_load = 0;
@@ -340,6 +342,8 @@ struct ToolModel {
     out.penalty_per_m = static_cast<Real>(presence * penalty_per_m);
     out.presence = static_cast<Real>(presence);
     out.friction = static_cast<Real>(friction);
+    out.severs_m = static_cast<Real>(presence == 1 ? severs_m : 0);
+    out.severing_length_m = static_cast<Real>(severing_length_m);
     out.keeps_force = keeps_force ? 1 : 0;
     out.kind = kind;
     out.first_core_point = first_core_point;

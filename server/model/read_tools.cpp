@@ -213,6 +213,26 @@ Result<void> read_cautery(const v1::Tool& tool, const std::string& where, ToolMo
   return {};
 }
 
+/// Reads how far a tool severs springs. It needs a core, because reach is counted from there.
+Result<void> read_dissection(const v1::Tool& tool, const std::string& where, std::span<const Eigen::Vector3d> nodes,
+                             ToolModel& out) {
+  if (!tool.has_dissection()) return {};
+  if (out.core_points == 0 || out.fixed) {
+    return invalid(fmt::format("{}.dissection: only a thin tool that moves has a tip that severs", where));
+  }
+  const double size_m = size_of(nodes);
+  const auto read = [&](double value_m, const char* name) -> Result<double> {
+    if (value_m >= 0 && value_m <= size_m) return value_m;
+    return invalid(fmt::format("{}.dissection.{}: {} is not within 0 and the scene's size, {:.4g} m; give it in metres",
+                               where, name, value_m, size_m));
+  };
+  TM_ASSIGN_OR_RETURN(reach_m, read(tool.dissection().reach_m(), "reach_m"));
+  TM_ASSIGN_OR_RETURN(length_m, read(tool.dissection().length_m(), "length_m"));
+  out.severs_m = out.radius_m + reach_m;
+  out.severing_length_m = length_m;
+  return {};
+}
+
 /// all: the tools before this one. The others: as in read_tools.
 Result<ToolModel> read_tool(const v1::Tool& tool, std::span<const Eigen::Vector3d> nodes, double dt_s, ReadTools& all) {
   const std::string where = fmt::format("tool '{}'", tool.name());
@@ -248,6 +268,7 @@ Result<ToolModel> read_tool(const v1::Tool& tool, std::span<const Eigen::Vector3
   TM_RETURN_IF_ERROR(read_coupling(tool, where, out));
   TM_RETURN_IF_ERROR(read_largest_loads(tool, where, out));
   TM_RETURN_IF_ERROR(read_cautery(tool, where, out));
+  TM_RETURN_IF_ERROR(read_dissection(tool, where, nodes, out));
   TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));
   TM_ASSIGN_OR_RETURN(orientation, read_orientation(tool.orientation(), where + ".orientation"));
   out.initial_pose = {position, orientation, {}};
@@ -277,6 +298,10 @@ Result<ReadTools> read_tools(const v1::Scene& scene, std::span<const Eigen::Vect
       return invalid(fmt::format("scene.tools[{}]: the name '{}' is taken by another tool", i, tool.name()));
     }
     TM_ASSIGN_OR_RETURN(out, read_tool(tool, nodes, dt_s, all));
+    if (tool.has_dissection() && scene.attachments().empty()) {
+      return invalid(fmt::format(
+          "tool '{}'.dissection: the scene has no springs to sever; add attachments, or leave it out", tool.name()));
+    }
     out.first_core_point = core_points;
     out.first_contact_point = contact_points;
     core_points += out.core_points;

@@ -67,7 +67,7 @@ struct RunStage {
     if constexpr (kKind == K::kSolveBalance) contact::solve_balance(team, s.patches, s.state, s.balance);
     if constexpr (kKind == K::kApplyBalance) solver::apply_balance(team, s.patches, s.state, s.guard, s.balance);
     if constexpr (kKind == K::kMeasureContact) contact::measure(team, s.patches, s.state, s.contact, s.balance);
-    if constexpr (kKind == K::kMeasureLinks) contact::measure_links(team, s.state, s.links);
+    if constexpr (kKind == K::kMeasureLinks) contact::measure_links(team, s.state, s.contact, s.links);
     if constexpr (kKind == K::kExtrapolate) solver::extrapolate(team, s.patches, s.state, s.guard);
     if constexpr (kKind == K::kCheckInversion) step::check_inversion<Shape>(team, s.patches, s.state, s.guard, e);
     if constexpr (kKind == K::kGatherSurface) step::gather_surface(team, s.patches, s.state, s.surface);

@@ -348,7 +348,7 @@ inline constexpr StageInfo kStages[] = {
      return Cost{s.contacts * s.real * (1 + slips), s.contacts};
    }},
   {StageKind::kMeasureLinks, Phase::kEnd, Scope::kScene, Communication::kReduces,
-   "measure links", "links, velocity", "broken springs, friction slips, report",
+   "measure links", "links, velocity, tools", "broken springs, friction slips, report",
    "bodies touch each other or are attached to each other",
    [](const StageSizes& s) { return s.has_links(); },
    [](const StageSizes& s) {

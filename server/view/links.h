@@ -29,6 +29,13 @@ struct Link {
   Real across;     // [N/m]; of a contact without stiffness: contact::NodeSide
 };
 
+/// What became of a spring, in LinksView::broken. Whole and broken count in snapshots, the cause only in events.
+enum SpringState : std::uint32_t {
+  kSpringWhole,
+  kSpringBroken,   // pulled too hard, or severed by an edit
+  kSpringSevered,  // by tool 0; one more by tool 1, and so on
+};
+
 /// A box along the axes. Empty: least > most.
 template <class Real>
 struct AxisBox {
@@ -128,7 +135,7 @@ struct LinksView {
   const std::uint32_t* patch_springs;  // [patch_count + 1]
   const std::uint32_t* spring_rows;    // [spring_count, 2]
   const Real* spring_numbers;          // [spring_count, 3] stiffness [N/m], length at rest [m], breaking force [N]
-  Real* broken;                        // [spring_count] 1: the spring is broken
+  Real* broken;                        // [spring_count] SpringState, for a severed one plus the place of the tool
   Real* checkpoint_broken;
 
   EdgesView<Real> edges;

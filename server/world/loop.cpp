@@ -16,6 +16,8 @@ namespace tensormass::world {
 namespace {
 /// Diagnostics of a running scene, a second of simulated time.
 constexpr double kDiagnosticsRateHz = 4;
+/// Two sums of the same volumes in another order differ by less than this share. No tissue went in between.
+constexpr double kSameVolume = 1e-9;
 
 /// Returns when a pose expires by real time.
 Clock::time_point expiry_of(const ReceivedPose& pose) {
@@ -32,6 +34,7 @@ Loop::Loop(std::string backend, std::unique_ptr<World> world, GenerationPointer 
       budget_(model()),
       outputs_(*world_, counts_),
       surface_(model()),
+      told_m3_(world_->removed().size()),
       status_(world_->shared_model(), std::move(backend), budget_, inboxes_, outputs_, counts_),
       clock_(model().rate_hz),
       hand_(clock_.period()),
@@ -222,6 +225,7 @@ bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
   status_.take_step(*world_);
   outputs_.note_guard();
   take_edits();
+  tell_what_broke();
   if (!good) {
     TM_ASSERT(world_->guard_event() != nullptr, "a step that failed left a guard event");
     stop_with_fault(to_text(*world_->guard_event(), world_->model()));
@@ -367,6 +371,7 @@ Result<v1::SceneStatus> Loop::do_edit(const v1::SceneEdit& change, EditPointer e
   TM_RETURN_IF_ERROR(world_->edit(read.ablations, read.springs));
   if (recording_) recording_->take_edit({std::move(edit), world_->step_count()});
   take_edits();
+  tell_what_broke();
   if (status_.state() != v1::SceneStatus::STATE_RUNNING) {  // else the next step brings a frame
     outputs_.gather_frame();
     outputs_.publish(true);
@@ -381,10 +386,30 @@ void Loop::take_edits() {
   SurfaceChangesPointer changes = surface_.take(model(), *world_->editor());
   if (changes == nullptr) return;
   outputs_.set_changes(std::move(changes));
-  const double removed_m3 = world_->editor()->removed_volume_m3(),
-               more_m3 = removed_m3 - std::exchange(told_m3_, removed_m3);
-  if (more_m3 > 0) {
-    outputs_.add_event({.kind = EventKind::kAblated, .step = world_->step_count(), .value = more_m3});
+  const std::span<const RemovedTissue> removed = world_->removed();
+  for (std::size_t i = 0; i < removed.size(); ++i) {
+    const RemovedTissue& of_body = removed[i];
+    const double more_m3 = of_body.volume_m3 - std::exchange(told_m3_[i], of_body.volume_m3);
+    if (!(more_m3 > kSameVolume * of_body.volume_m3)) continue;
+    outputs_.add_event({.kind = EventKind::kAblated,
+                        .step = world_->step_count(),
+                        .body = static_cast<std::uint32_t>(i),
+                        .tool = of_body.tool,
+                        .value = more_m3,
+                        .position_m = of_body.position_m});
+  }
+}
+
+/// Tells of springs that broke in the last step or edit.
+void Loop::tell_what_broke() {
+  for (const BrokenSprings& one : world_->newly_broken()) {
+    SceneEvent event{.kind = one.severed ? EventKind::kSevered : EventKind::kBroken,
+                     .step = world_->step_count(),
+                     .tool = one.tool,
+                     .attachment = one.attachment,
+                     .value = static_cast<double>(one.count)};
+    if (one.tool != SceneEvent::kNone) event.position_m = world_->tip_m(one.tool);
+    outputs_.add_event(event);
   }
 }
 

@@ -195,6 +195,7 @@ class Loop {
   void record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected);
   void go_on_from_new_state();
   void take_edits();
+  void tell_what_broke();
   bool lockstep_frame_due(Clock::time_point now, bool last);
   void diagnose();
   void set_state(State next);
@@ -219,7 +220,7 @@ class Loop {
   const std::shared_ptr<SceneCounts> counts_ = std::make_shared<SceneCounts>();
   LoopOutputs outputs_;
   SurfaceChangesMaker surface_;
-  double told_m3_ = 0;  // removed volume of the last event
+  std::vector<double> told_m3_;  // [body] removed volume at the last event; empty: the scene has no editing
   LoopStatus status_;
   std::mutex mutex_;
   std::condition_variable wake_;

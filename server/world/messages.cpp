@@ -38,17 +38,24 @@ std::vector<std::uint32_t> fixed_vertices(const model::Model& model, const model
   return fixed;
 }
 
-/// What happened, in words. body: of the event, in quotes; empty: it has none.
-std::string text_of(const model::Model& model, const SceneEvent& event, const std::string& body) {
+/// "3 springs of attachment 'ligament'"
+std::string springs_of(const SceneEvent& event, const std::string& attachment) {
+  const std::string of = attachment.empty() ? std::string() : fmt::format(" of attachment '{}'", attachment);
+  return fmt::format("{:.0f} spring{}{}", event.value, event.value == 1 ? "" : "s", of);
+}
+
+/// What happened, in words. Names in `named` are those of the event.
+std::string text_of(const model::Model& model, const SceneEvent& event, const v1::SceneEvent& named) {
   constexpr double kMm2 = 1e6, kMm3 = 1e9;  // in a square, in a cubic metre
-  const std::string of_body = body.empty() ? std::string() : fmt::format(" of body {}", body);
+  const std::string of_body = named.body().empty() ? std::string() : fmt::format(" of body '{}'", named.body());
+  const std::string by_tool = named.tool().empty() ? std::string() : fmt::format(" by '{}'", named.tool());
   switch (event.kind) {
     case EventKind::kAblated:
-      return fmt::format("{:.3g} mm³{} burnt away", kMm3 * event.value, of_body);
+      return fmt::format("{:.3g} mm³{} burnt away{}", kMm3 * event.value, of_body, by_tool);
     case EventKind::kPieceFree:
       return fmt::format("a piece of {:.3g} mm³{} hangs on nothing", kMm3 * event.value, of_body);
     case EventKind::kSevered:
-      return fmt::format("{:.0f} spring{} severed{}", event.value, event.value == 1 ? "" : "s", of_body);
+      return fmt::format("{} severed{}", springs_of(event, named.attachment()), by_tool);
     case EventKind::kCut:
       return fmt::format("a cut of {:.3g} mm²{}", kMm2 * event.value, of_body);
     case EventKind::kAdjusted:
@@ -60,6 +67,8 @@ std::string text_of(const model::Model& model, const SceneEvent& event, const st
     case EventKind::kGuard:
     case EventKind::kHeld:
       return to_text(event.guard, model);
+    case EventKind::kBroken:
+      return fmt::format("{} broke", springs_of(event, named.attachment()));
   }
   return {};
 }
@@ -211,15 +220,12 @@ void fill_events(const model::Model& model, const EventsSlot& slot, v1::SceneEve
     to.set_step(event.step);
     to.set_server_time_ns(event.server_time_ns);
     to.set_kind(static_cast<v1::SceneEvent::Kind>(event.kind));
-    std::string body;
-    if (event.body != SceneEvent::kNone) {
-      to.set_body(model.bodies[event.body].name);
-      body = fmt::format("'{}'", to.body());
-    }
+    if (event.body != SceneEvent::kNone) to.set_body(model.bodies[event.body].name);
+    if (event.attachment != SceneEvent::kNone) to.set_attachment(model.attachments[event.attachment].name);
     if (event.tool != SceneEvent::kNone) to.set_tool(model.tools[event.tool].name);
     to.set_value(event.value);
     if (event.position_m) fill(*event.position_m, *to.mutable_position_m());
-    to.set_text(text_of(model, event, body));
+    to.set_text(text_of(model, event, to));
   }
 }
 

@@ -22,19 +22,21 @@ enum class EventKind : std::uint8_t {
   kAdjusted,
   kReset,
   kRestored,
-  kGuard,  ///< a guard stopped the scene
-  kHeld,   ///< a recovery began
-  kCut,    ///< value: area [m²]
+  kGuard,   ///< a guard stopped the scene
+  kHeld,    ///< a recovery began
+  kBroken,  ///< value: number of springs
+  kCut,     ///< value: area [m²]
 };
 
 struct SceneEvent {
   static constexpr std::uint32_t kNone = std::numeric_limits<std::uint32_t>::max();
 
   EventKind kind = EventKind::kReset;
-  std::uint64_t step = 0;      ///< steps of the scene when it happened
-  std::uint32_t body = kNone;  ///< place in model::Model::bodies
-  std::uint32_t tool = kNone;  ///< place in model::Model::tools
-  double value = 0;            ///< follows from the kind
+  std::uint64_t step = 0;            ///< steps of the scene when it happened
+  std::uint32_t body = kNone;        ///< place in model::Model::bodies
+  std::uint32_t tool = kNone;        ///< place in model::Model::tools
+  std::uint32_t attachment = kNone;  ///< place in model::Model::attachments
+  double value = 0;                  ///< follows from the kind
   std::optional<Vec3<double>> position_m = {};
   GuardEvent guard = {};  ///< for kGuard and kHeld
   // The log fills these in.

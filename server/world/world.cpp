@@ -64,6 +64,8 @@ World::World(std::shared_ptr<const model::Model> loaded, std::unique_ptr<model::
       broken_bits_((broken_.size() + 7) / 8) {
   if (model_->edit_tables != nullptr) editor_.emplace(*model_);
   severed_.severed.reserve(broken_.size());
+  newly_broken_.reserve(std::max<std::size_t>(model_->attachments.size(), 1) * (2 + tools_.size()));
+  if (editor_) removed_.resize(model_->bodies.size());
   unspent_j_.assign(tools_.size(), 0.0);
   spared_.assign(tools_.size(), mesh::kNone);
   if (!model_->initial_displacement.empty() || !model_->initial_velocity.empty()) write_start();
@@ -139,20 +141,9 @@ void World::read_tools() {
   }
 }
 
-/// Takes the broken springs from the backend, in the order of the scene.
-void World::read_broken() {
-  state_->read_broken(broken_);
-  std::fill(broken_bits_.begin(), broken_bits_.end(), std::uint8_t{0});
-  broken_count_ = 0;
-  for (std::size_t spring = 0; spring < broken_.size(); ++spring) {
-    if (broken_[model_->links.spring_places[spring]] == 0) continue;
-    broken_bits_[spring / 8] |= static_cast<std::uint8_t>(1u << spring % 8);
-    ++broken_count_;
-  }
-}
-
 bool World::step(bool gather_visible) {
   has_event_ = recovering_ = false;
+  newly_broken_.clear();
   const bool begins_to_leave = take_tools_out();
   by_euler_ = asks_for_euler(published_, bodies_touch_);
   for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].move(model_->dt_s, published_[i]);
@@ -501,6 +492,7 @@ void World::reset() {
   if (editor_) {
     editor_->heal(*edited_, [&](const model::ModelEdit& edit) { state_->apply(edit); });
     enclosure_.take(*model_, *editor_);
+    std::fill(removed_.begin(), removed_.end(), RemovedTissue{});
   }
   write_start();
   std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
@@ -511,6 +503,7 @@ void World::reset() {
   held_steps_ = 0;
   stuck_s_ = 0;
   read_broken();
+  newly_broken_.clear();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
 }
@@ -540,6 +533,7 @@ void World::restore(const Copied& saved) {
   state_->write(saved.tissue.rows);
   state_->write_history(saved.tissue.history);
   read_broken();
+  newly_broken_.clear();
   std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
   step_count_ = saved.step_count;
   last_ = {};

@@ -13,6 +13,7 @@
 #include "model/model.h"
 #include "world/enclosure.h"
 #include "world/guard.h"
+#include "world/news.h"
 #include "world/node_state.h"
 #include "world/tool.h"
 
@@ -119,6 +120,12 @@ class World {
   Result<void> edit(std::span<const model::Ablation> ablations, std::span<const std::uint32_t> springs);
   /// What edits have done since the start or the last reset; nullptr: the scene has no editing.
   const model::Editor* editor() const { return editor_ ? &*editor_ : nullptr; }
+  /// What edits and tools have taken from each body since then, [body]. Empty: the scene has no editing.
+  std::span<const RemovedTissue> removed() const { return removed_; }
+  /// Springs that broke in the last step or edit. A reset and a restored state break none.
+  std::span<const BrokenSprings> newly_broken() const { return newly_broken_; }
+  /// Returns the position of a tool's tip [m].
+  Vec3<double> tip_m(std::size_t tool) const { return tools_[tool].shape_of(tools_[tool].pose()).position_m; }
 
   std::uint32_t cg_limit() const { return cg_limit_; }
 
@@ -170,12 +177,13 @@ class World {
   Result<void> check_springs(std::span<const std::uint32_t> springs) const;
   void take_edited_surfaces();
   void take_shares(const model::Editor::Shares& shares);
-  void apply(std::span<const model::Ablation> ablations);
+  void apply(std::span<const model::Ablation> ablations, std::uint32_t tool = SceneEvent::kNone);
   void burn();
   double diagnose_elastic_energy();
   void place_tools();
   void read_tools();
   void read_broken();
+  void add_news(std::uint32_t attachment, std::uint8_t state);
   static bool touches(std::span<const backend::ToolForce> forces);
   static bool jumps(const Vec3<double>& from_n, const Vec3<double>& to_n);
   bool starts_anew(bool jumped) const;
@@ -275,6 +283,8 @@ class World {
   std::vector<std::uint8_t> broken_;  // [spring] as SceneState::read_broken writes it
   std::vector<std::uint8_t> broken_bits_;
   std::uint32_t broken_count_ = 0;  // bits that are set
+  std::vector<BrokenSprings> newly_broken_;
+  std::vector<RemovedTissue> removed_;
   std::uint64_t step_count_ = 0;
   std::uint64_t topology_version_ = 0;
 };

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <vector>
 
 #include <fmt/format.h>
@@ -40,16 +41,30 @@ Result<void> World::edit(std::span<const model::Ablation> ablations, std::span<c
   }
   if (editor_) TM_RETURN_IF_ERROR(editor_->check(*model_, ablations));
   TM_RETURN_IF_ERROR(check_springs(springs));
+  newly_broken_.clear();
   severed_.clear();
   for (const std::uint32_t spring : springs) severed_.severed.push_back(model_->links.spring_places[spring]);
-  if (!springs.empty()) state_->apply(severed_);
-  if (!ablations.empty()) apply(ablations);
-  if (!broken_.empty()) read_broken();
+  if (!springs.empty()) {
+    state_->apply(severed_);
+    read_broken();
+    for (BrokenSprings& one : newly_broken_) one.severed = true;
+  }
+  if (!ablations.empty()) {
+    apply(ablations);
+    if (!broken_.empty()) read_broken();
+  }
   return {};
 }
 
-/// Ablates elements; the editor has checked them.
-void World::apply(std::span<const model::Ablation> ablations) {
+/// Ablates elements; the editor has checked them. tool: the one that burns them; kNone: an edit.
+void World::apply(std::span<const model::Ablation> ablations, std::uint32_t tool) {
+  for (const model::Ablation& one : ablations) {
+    RemovedTissue& removed = removed_[model_->body_of_element(one.element)];
+    removed.volume_m3 += (editor_->kept(one.element) - one.kept) * editor_->volume_m3(one.element);
+    removed.tool = tool;
+    removed.position_m.reset();
+    if (tool != SceneEvent::kNone) removed.position_m = tip_m(tool);
+  }
   const std::uint32_t revision = editor_->surface_revision();
   state_->apply(editor_->ablate(*edited_, ablations));
   if (editor_->surface_revision() != revision) take_edited_surfaces();
@@ -84,7 +99,7 @@ void World::burn() {
       unspent_j_[i] = 0;
       continue;
     }
-    apply({&burnt, 1});
+    apply({&burnt, 1}, static_cast<std::uint32_t>(i));
     unspent_j_[i] = std::clamp(-left, 0.0, 1.0) * whole_j;
   }
 }
@@ -100,6 +115,10 @@ void World::take_shares(const model::Editor::Shares& shares) {
   if (!editor_) return;
   editor_->take(*edited_, shares, [&](const model::ModelEdit& edit) { state_->apply(edit); });
   enclosure_.take(*model_, *editor_);
+  std::fill(removed_.begin(), removed_.end(), RemovedTissue{});
+  for (const model::Ablation& one : shares.ablations) {
+    removed_[model_->body_of_element(one.element)].volume_m3 += (1 - one.kept) * editor_->volume_m3(one.element);
+  }
 }
 
 Result<void> World::check_shares(const SavedBesideTissue& saved) const {

@@ -1,6 +1,6 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [burn] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [dissect] [burn] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
 //
 // The default is all of them.
 //
@@ -21,6 +21,7 @@ const HANDS = ["retract", "grasp", "table", "demo-abdomen"];
 const PAGES = {
   burn: takeBurn,
   demo: takeDemo,
+  dissect: takeDissect,
   textured: takeTextured,
   viewer: takeViewer,
   grid: takeGrid,
@@ -41,6 +42,8 @@ const LEAST_FORCE_N = 0.1;
 const STEADY_N = 0.03;
 /** Force on the probe of `demo` at which its dent is seen. */
 const PRESSED_N = 0.3;
+/** The hook of `dissect` is in its second pass, or behind, with x below and y above these. */
+const SECOND_PASS_M = [0.05, -0.02];
 const MAX_PICTURE_BYTES = 100_000;
 const WIDE = { width: 960, height: 640 };
 const ROOMY = { width: 1280, height: 800 };
@@ -201,6 +204,19 @@ async function takeDemo() {
     await page.waitForFunction((least) => Math.hypot(...(window.tensormass.state().tools[0]?.forceN ?? [0])) > least, PRESSED_N);
     await page.evaluate(() => (document.querySelector("aside").style.visibility = "hidden"));
     await save(page, "viewer");
+  });
+}
+
+/** The scene `dissect` when its hook is in the strands for the second time. */
+async function takeDissect() {
+  await withScene("dissect", async (url) => {
+    const page = await open(url, WIDE);
+    await page.waitForFunction(([x, y]) => {
+      const at = window.tensormass.state().tools[0]?.positionM;
+      return at !== undefined && at[0] < x && at[1] > y;
+    }, SECOND_PASS_M);
+    await hideReadings(page);
+    await save(page, "dissect");
   });
 }
 

@@ -144,6 +144,8 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
         tool.orientation.w = 1
         if kind.name == "grasper":
             tool.joint_values.append(0.5)
+        elif kind.name == "retractor":
+            tool.dissection.reach_m, tool.dissection.length_m = 1e-3, 0.01
         elif kind.name == "box":
             tool.box.edge_radius_m = 0.002
         elif kind.name == "mesh":

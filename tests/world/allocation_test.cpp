@@ -8,6 +8,7 @@
 #include "support/laws.h"
 #include "support/operator_new.h"
 #include "support/scenes.h"
+#include "support/strands.h"
 #include "world/loop_outputs.h"
 #include "world/recording.h"
 
@@ -65,6 +66,26 @@ TEST_P(StepLoop, AllocatesNothingWhenSpringsBreak) {
   }
   EXPECT_EQ(allocations.load() - before, 0u);
   EXPECT_EQ(world->last().broken_springs, 9u) << "springs broke among what ran";
+}
+
+/// A tool severs springs, and each step tells which.
+TEST_P(StepLoop, AllocatesNothingWhenATipSevers) {
+  const auto world = start(tests::strung_blocks(false, true));
+  LoopOutputs outputs(*world);
+  std::size_t told = 0;
+  const std::uint64_t before = allocations.load();
+  for (int i = 0; i < 40; ++i) {
+    world->set_tool_target(0, {{-0.01 + 0.002 * i, 0.03, -0.004}, {1, 0, 0, 0}});
+    ASSERT_TRUE(world->step(true));
+    for (const BrokenSprings& one : world->newly_broken()) {
+      outputs.add_event({.kind = EventKind::kSevered, .tool = one.tool, .attachment = one.attachment});
+      ++told;
+    }
+    outputs.take_step(Clock::now());
+    outputs.publish(true);
+  }
+  EXPECT_EQ(allocations.load() - before, 0u);
+  EXPECT_GT(told, 3u) << "springs were severed among what ran";
 }
 
 /// Changes of the surface are shared, and events have a fixed size.

@@ -214,7 +214,8 @@ TEST(Messages, FrameHasAppendedVerticesBehindTheOthers) {
 }
 
 TEST(Messages, EventsSayInWordsWhatHappened) {
-  const model::Model model = two_bodies_and_a_probe();
+  model::Model model = two_bodies_and_a_probe();
+  model.attachments.emplace_back().name = "ligament";
   EventsSlot slot{{}, 42};
   slot.log.add({.kind = EventKind::kAblated,
                 .step = 5,
@@ -224,20 +225,26 @@ TEST(Messages, EventsSayInWordsWhatHappened) {
                 .position_m = Vec3<double>(1, 2, 3)},
                7);
   slot.log.add({.kind = EventKind::kSevered, .value = 1}, 8);
+  slot.log.add({.kind = EventKind::kSevered, .tool = 0, .attachment = 0, .value = 3}, 8);
+  slot.log.add({.kind = EventKind::kBroken, .attachment = 0, .value = 2}, 8);
   slot.log.add({.kind = EventKind::kHeld,
                 .guard = {.step = 9, .first = {Breach::kNotFinite}, .last = {}, .outcome = GuardEvent::Outcome::kHeld}},
                9);
   v1::SceneEvents events;
   fill_events(model, slot, events);
   EXPECT_EQ(events.topology_version(), 42u);
-  ASSERT_EQ(events.events_size(), 3);
-  EXPECT_EQ(events.events(0).text(), "2 mm³ of body 'second' burnt away");
+  ASSERT_EQ(events.events_size(), 5);
+  EXPECT_EQ(events.events(0).text(), "2 mm³ of body 'second' burnt away by 'probe'");
   EXPECT_EQ(events.events(0).tool(), "probe");
   EXPECT_EQ(events.events(0).position_m().z(), 3);
   EXPECT_EQ(events.events(0).server_time_ns(), 7u);
   EXPECT_EQ(events.events(1).text(), "1 spring severed");
   EXPECT_FALSE(events.events(1).has_position_m());
-  EXPECT_NE(events.events(2).text().find("the tissue was held"), std::string::npos) << events.events(2).text();
+  EXPECT_TRUE(events.events(1).attachment().empty());
+  EXPECT_EQ(events.events(2).text(), "3 springs of attachment 'ligament' severed by 'probe'");
+  EXPECT_EQ(events.events(2).attachment(), "ligament");
+  EXPECT_EQ(events.events(3).text(), "2 springs of attachment 'ligament' broke");
+  EXPECT_NE(events.events(4).text().find("the tissue was held"), std::string::npos) << events.events(4).text();
   for (int kind = v1::SceneEvent::KIND_ABLATED; kind <= v1::SceneEvent::KIND_CUT; ++kind) {
     EventsSlot one{{}, 1};
     one.log.add({.kind = static_cast<EventKind>(kind)}, 1);

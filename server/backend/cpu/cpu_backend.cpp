@@ -104,7 +104,7 @@ class CpuState final : public SceneState {
     model::for_each_write<Real>(model_, edit.ranges, bound_.buffers, buffers_,
                                 [](void* to, const void* from, std::size_t bytes) { std::memcpy(to, from, bytes); });
     for (const std::uint32_t row : edit.held_rows) hold_row(view_, row);
-    for (const std::uint32_t spring : edit.severed) view_.links.broken[spring] = 1;
+    for (const std::uint32_t spring : edit.severed) view_.links.broken[spring] = view::kSpringBroken;
     for (std::uint32_t i = 0; view_.contact.slips != nullptr && i < slips_of_triangle(view_.contact); ++i) {
       for (const auto& [from, to] : edit.moved_triangles) move_slip(view_.contact, i, from, to);
     }

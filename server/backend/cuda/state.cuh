@@ -157,7 +157,7 @@ class CudaState final : public SceneState {
     edits_.begin(stream());
     const auto write = [&](void* to, const void* from, std::size_t bytes) { edits_.write(to, from, bytes, stream()); };
     model::for_each_write<Real>(model_, edit.ranges, bound_.buffers, buffers_, write);
-    const Real broken = 1;
+    const Real broken = view::kSpringBroken;
     for (const std::uint32_t spring : edit.severed) write(view_.links.broken + spring, &broken, sizeof broken);
     edits_.end(stream());
     edits_.with_numbers(edit.held_rows.data(), edit.held_rows.size(), 1, stream(),

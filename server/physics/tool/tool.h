@@ -91,12 +91,14 @@ struct PlacedTool {
   const float* samples;                         // distances of mesh_solid.h; others do not read it
   Real parameters[limits::kMaxToolParameters];  // as kParameters lists them
   Real penalty_pa_per_m;                        // as the scene gives it; else 0
-  Real penalty_per_m;  // else this times the modulus of what the tool touches; 0 if the scene gives it
-  Real presence;       // share of the tool that is there while it is retired, 0 to 1; both penalties contain it
-  Real friction;       // Coulomb's coefficient μ; 0: none
-  Real steepest;       // where a thin tool's contact hardens no further (contact/tools.h)
-  Real moved_m[3];     // motion of position_m in this step
-  Real turned[9];      // I − R₀Rᵀ with the rotations R₀ at the start of the step and R now; row-major
+  Real penalty_per_m;      // else this times the modulus of what the tool touches; 0 if the scene gives it
+  Real presence;           // share of the tool that is there while it is retired, 0 to 1; both penalties contain it
+  Real friction;           // Coulomb's coefficient μ; 0: none
+  Real severs_m;           // springs this near to its core are severed (contact/severing.h); 0: none
+  Real severing_length_m;  // length of the core that severs, from the tip on
+  Real steepest;           // where a thin tool's contact hardens no further (contact/tools.h)
+  Real moved_m[3];         // motion of position_m in this step
+  Real turned[9];          // I − R₀Rᵀ with the rotations R₀ at the start of the step and R now; row-major
   Real joints_moved[limits::kMaxToolJoints];  // change of joint_values in this step
   std::uint32_t kind;                         // place in Tools
   std::uint32_t first_core_point;             // its core points among those of all tools

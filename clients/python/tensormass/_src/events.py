@@ -28,7 +28,8 @@ class Event:
     step: int
     #: On the server's clock, nanoseconds since the Unix epoch.
     server_time_ns: int
-    #: ablated, piece_free, severed, adjusted, reset, restored, guard, held or cut; its number if of a newer daemon.
+    #: ablated, piece_free, severed, broken, adjusted, reset, restored, guard, held or cut; its number if of a
+    #: newer daemon.
     kind: str
     #: Name of the body; empty: none in particular.
     body: str
@@ -40,6 +41,8 @@ class Event:
     position_m: npt.NDArray[np.float64] | None
     #: In words.
     text: str
+    #: Name of the attachment whose springs these are; empty: none in particular.
+    attachment: str = ""
 
     @staticmethod
     def from_message(message: event_pb2.SceneEvent) -> Event:
@@ -56,6 +59,7 @@ class Event:
             value=message.value,
             position_m=np.array([place.x, place.y, place.z]) if message.HasField("position_m") else None,
             text=message.text,
+            attachment=message.attachment,
         )
 
 

@@ -411,6 +411,8 @@ class Scene:
         max_joint_load: float | None = None,
         cautery_power_w: float | None = None,
         cautery_efficiency: float | None = None,
+        dissection_reach_m: float | None = None,
+        dissection_length_m: float | None = None,
         **shape: float | Vector | meshes.TriangleSurface,
     ) -> scene_pb2.Tool:
         """Adds a tool of any kind and returns its message. It stays where it is until its first pose.
@@ -431,6 +433,9 @@ class Scene:
             cautery_power_w: lets the tip burn tissue while the level of its pose is above zero; the scene needs
                 `editing`. None: it burns nothing.
             cautery_efficiency: share of that power which reaches the element at the tip. None: 0.3.
+            dissection_reach_m: lets the tip sever springs of attachments within this distance of its surface. Jaws
+                sever while they are shut. None: it severs none.
+            dissection_length_m: length of the core that severs, from the tip on. None: the round tip alone.
             shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`, or
                 `surface=TriangleSurface(vertices, triangles)` for a mesh.
 
@@ -456,6 +461,8 @@ class Scene:
                 max_joint_load=max_joint_load,
                 cautery_power_w=cautery_power_w,
                 cautery_efficiency=cautery_efficiency,
+                dissection_reach_m=dissection_reach_m,
+                dissection_length_m=dissection_length_m,
                 shape=shape,
             )
         )

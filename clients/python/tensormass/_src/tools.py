@@ -34,6 +34,8 @@ def make_tool(
     max_joint_load: float | None,
     cautery_power_w: float | None,
     cautery_efficiency: float | None,
+    dissection_reach_m: float | None,
+    dissection_length_m: float | None,
     shape: dict[str, float | Vector | TriangleSurface],
 ) -> scene_pb2.Tool:
     """Returns a tool of a kind. See Scene.add_tool."""
@@ -63,6 +65,10 @@ def make_tool(
         tool.cautery.CopyFrom(edit_pb2.Cautery(power_w=cautery_power_w, efficiency=cautery_efficiency))
     elif cautery_efficiency is not None:
         raise InvalidArgumentError(f"{name}: cautery_efficiency needs cautery_power_w")
+    if dissection_reach_m is not None:
+        tool.dissection.CopyFrom(edit_pb2.Dissection(reach_m=dissection_reach_m, length_m=dissection_length_m))
+    elif dissection_length_m is not None:
+        raise InvalidArgumentError(f"{name}: dissection_length_m needs dissection_reach_m")
     message = getattr(tool, kind)
     message.SetInParent()
     for field, value in shape.items():

@@ -22,6 +22,8 @@ export function eventLabel({ kind }: Pick<SceneEvent, "kind">): string {
       return "piece free";
     case Kind.SEVERED:
       return "severed";
+    case Kind.BROKEN:
+      return "broken";
     case Kind.ADJUSTED:
       return "adjusted";
     case Kind.RESET:
