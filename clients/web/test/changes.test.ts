@@ -405,7 +405,7 @@ describe("pages of a scene that changes", () => {
     page.receive("topology", topologyBytes({ version: 8n }));
     page.receive("events", events(7n));
     expect(page.session.readings().events).toEqual([]);
-    for (const kind of [Kind.UNSPECIFIED, Kind.PIECE_FREE, Kind.SEVERED, Kind.ADJUSTED, Kind.RESTORED, Kind.GUARD, Kind.HELD, Kind.BROKEN]) {
+    for (const kind of [Kind.UNSPECIFIED, Kind.PIECE_FREE, Kind.SEVERED, Kind.ADJUSTED, Kind.RESTORED, Kind.GUARD, Kind.HELD, Kind.BROKEN, Kind.CUT]) {
       expect(eventLabel({ kind })).not.toBe("");
     }
   });
