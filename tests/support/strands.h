@@ -7,9 +7,9 @@
 /// Two blocks with a gap between them, which strands of an attachment bridge, and a tool that severs them.
 namespace tensormass::tests {
 
-inline constexpr double kStrandsStiffness = 100;                    ///< of all strands together [N/m]
+inline constexpr double kStrandsStiffness = 100;                    ///< all strands together [N/m]
 inline constexpr double kGapBegins = 0.02, kGapEnds = 0.04;         ///< heights of the gap [m]
-inline constexpr double kReachM = 0.004, kSeveringRadiusM = 0.003;  ///< of the tool
+inline constexpr double kReachM = 0.004, kSeveringRadiusM = 0.003;  ///< the tool's [m]
 
 /// Returns the block "upper", which is held, above the free block "lower". 22 upright strands join their layers of
 /// nodes: at x = 0, 0.01 .. 0.1 m and z = 0 and 0.01 m. Without gravity nothing moves. The tool is a sphere in front of

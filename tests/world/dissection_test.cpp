@@ -27,7 +27,7 @@ using tests::kSeveringRadiusM;
 
 constexpr double kWithinM = kReachM + kSeveringRadiusM;
 
-/// Where the springs of the scene are at rest, in its order: upright, through (x, z).
+/// Returns the springs at rest, in the order of the scene: upright, through (x, z).
 std::vector<Vec3<double>> strands_of(const World& world) {
   const model::Model& m = world.model();
   std::vector<Vec3<double>> out;
@@ -252,7 +252,7 @@ TEST_P(Dissection, LeavesTheForceOfTheOthers) {
     lift(scene, -kSunkM);  // it hangs at rest: the strands are as long as its weight makes them
     const auto world = start(scene);
     const std::vector<Vec3<double>> strands = strands_of(*world);
-    const auto pull_n = [&] {  // of the strands that are whole, upwards
+    const auto pull_n = [&] {  // upwards, by the strands that are whole
       const std::vector<bool> severed = severed_of(*world);
       const auto whole = static_cast<double>(std::count(severed.begin(), severed.end(), false));
       return tests::kStrandsStiffness / 22 * whole * kSunkM;
