@@ -48,7 +48,7 @@ def test_the_hand_frees_the_organ_step_by_step(server: tm.Server) -> None:
         assert next(events).kind == "reset"
 
 
-def strung(**dissection: float) -> tm.Scene:
+def strung(reach_m: float | None = None, length_m: float | None = None) -> tm.Scene:
     """Two blocks that one attachment joins, and a probe before the gap."""
     mesh = tm.grid([4, 4, 4], [0.02, 0.02, 0.02], shape="hexahedron")
     scene = tm.Scene("strung")
@@ -59,12 +59,19 @@ def strung(**dissection: float) -> tm.Scene:
         )  # fmt: skip
     scene.body("upper").mesh.translation_m.z = 0.04
     scene.attach("strands", "lower", mesh.nodes[:, 2] > 0.019, "upper", mesh.nodes[:, 2] < 0.001, stiffness_n_per_m=10)
-    scene.add_tool("tip", "spherical_probe", position_m=(0.01, -0.02, 0.03), radius_m=0.008, **dissection)
+    scene.add_tool(
+        "tip",
+        "spherical_probe",
+        position_m=(0.01, -0.02, 0.03),
+        radius_m=0.008,
+        dissection_reach_m=reach_m,
+        dissection_length_m=length_m,
+    )
     return scene
 
 
 def test_a_call_and_a_tip_sever(server: tm.Server) -> None:
-    with server.load(strung(dissection_reach_m=0.001), lockstep=True) as scene:
+    with server.load(strung(reach_m=0.001), lockstep=True) as scene:
         scene.step(3)
         assert scene.status().broken_springs == 0
         scene.move_tool("tip", (0.01, 0, 0.03))
@@ -76,18 +83,18 @@ def test_a_call_and_a_tip_sever(server: tm.Server) -> None:
         assert scene.status().broken_springs == 25
 
 
-@pytest.mark.parametrize("name", ["dissection_reach_m", "dissection_length_m"])
+@pytest.mark.parametrize("name", ["reach_m", "length_m"])
 @pytest.mark.parametrize("wrong", [-0.001, 5.0, float("nan")])
 def test_refuses_distances_out_of_range(server: tm.Server, name: str, wrong: float) -> None:
-    field = name.replace("dissection_", "dissection.")
+    field = f"dissection.{name}"
     with pytest.raises(tm.InvalidArgumentError, match=rf"{field}: .*scene's size"):
-        server.load(strung(**{"dissection_reach_m": 0.001, name: wrong}))
+        server.load(strung(**{"reach_m": 0.001, name: wrong}))
 
 
 def test_refuses_what_severs_nothing(server: tm.Server) -> None:
     with pytest.raises(tm.InvalidArgumentError, match="dissection_length_m needs dissection_reach_m"):
-        strung(dissection_length_m=0.01)
-    scene = strung(dissection_reach_m=0.001)
+        strung(length_m=0.01)
+    scene = strung(reach_m=0.001)
     del scene.message.attachments[:]
     with pytest.raises(tm.InvalidArgumentError, match="no springs to sever"):
         server.load(scene)

@@ -70,7 +70,7 @@ export function merged(first: Adjustments, later: Adjustments): Adjustments {
   const bodies = new Map<string, BodyAdjustment>();
   for (const change of [...(first.bodies ?? []), ...(later.bodies ?? [])]) {
     const body = change.body ?? "";
-    bodies.set(body, { ...bodies.get(body), ...change });
+    bodies.set(body, { ...bodies.get(body), ...change } as BodyAdjustment);
   }
   return { gravityMPerS2: later.gravityMPerS2 ?? first.gravityMPerS2, bodies: [...bodies.values()] };
 }
