@@ -3,7 +3,7 @@
     python tests/bench/contacts.py [--backend cuda] [--commit HASH] >> tests/bench/results/contacts.jsonl
 
 The scenes follow the scripted hand in lockstep, in turns of 64 steps, so that a slower moment of the machine slows all
-of them. The steps of a turn are made in one call, and the times are those of all steps. A scene without any tie runs
+of them. The steps of a turn are made in one call, and the times are those of all steps. A scene without any link runs
 the fused solve of the GPU.
 """
 
@@ -36,7 +36,7 @@ def _drop_attachments(scene: scene_pb2.Scene) -> None:
     del scene.attachments[:]
 
 
-def _drop_ties(scene: scene_pb2.Scene) -> None:
+def _drop_links(scene: scene_pb2.Scene) -> None:
     _drop_body_contacts(scene)
     _drop_attachments(scene)
 
@@ -52,7 +52,7 @@ def _drop_probe(scene: scene_pb2.Scene) -> None:
 
 
 def _drop_all(scene: scene_pb2.Scene) -> None:
-    _drop_ties(scene)
+    _drop_links(scene)
     del scene.tools[:]
 
 
@@ -61,7 +61,7 @@ _VARIANTS: dict[str, Callable[[scene_pb2.Scene], None]] = {
     "without self-contact": _drop_self_contact,
     "without contact of bodies": _drop_body_contacts,
     "without attachments": _drop_attachments,
-    "without ties": _drop_ties,
+    "without links": _drop_links,
     "without obstacles": _drop_obstacles,
     "without the probe": _drop_probe,
     "without any contact": _drop_all,
