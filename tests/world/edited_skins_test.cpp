@@ -147,7 +147,7 @@ Triangles boundary_of(const model::Model& m, const model::Editor& editor) {
   return out;
 }
 
-/// The nearest triangle along a ray: its distance, infinite if there is none, and whether its front is met.
+/// Returns the distance of the nearest triangle along a ray, infinite if there is none, and whether its front is met.
 struct Hit {
   double at_m = std::numeric_limits<double>::infinity();
   bool front = true;
