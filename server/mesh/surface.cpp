@@ -31,8 +31,10 @@ struct HalfEdge {
   std::uint32_t side;
 };
 
-/// Returns Surface::neighbours: sorts all directed edges by key and pairs those that run in opposite directions.
-std::vector<std::array<std::uint32_t, 3>> edge_neighbours(const std::vector<Triangle>& triangles) {
+}  // namespace
+
+std::vector<std::array<std::uint32_t, 3>> edge_neighbours(std::span<const Triangle> triangles) {
+  // Sorts all directed edges by key and pairs those that run in opposite directions.
   std::vector<HalfEdge> edges;
   edges.reserve(3 * triangles.size());
   for (std::uint32_t triangle = 0; triangle < triangles.size(); ++triangle) {
@@ -55,8 +57,6 @@ std::vector<std::array<std::uint32_t, 3>> edge_neighbours(const std::vector<Tria
   }
   return neighbours;
 }
-
-}  // namespace
 
 std::vector<BoundaryFace> boundary_faces(const Mesh& mesh) {
   std::vector<std::uint8_t> flags(element_count(mesh), 0);  // bit f is set if face f is on the boundary

@@ -34,6 +34,9 @@ struct Surface {
   Rows vertex_triangles;  ///< [vertex_count] triangles of each vertex, ascending
 };
 
+/// Returns Surface::neighbours of triangles.
+std::vector<std::array<std::uint32_t, 3>> edge_neighbours(std::span<const Triangle> triangles);
+
 /// Returns the triangles of a face, in the order of its nodes. Numbers: mesh nodes, outward winding.
 std::vector<Triangle> face_triangles(const FaceNodes& nodes);
 

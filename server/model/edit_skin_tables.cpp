@@ -1,12 +1,12 @@
 #include <algorithm>
 #include <array>
 #include <limits>
-#include <map>
 #include <utility>
 #include <vector>
 
 #include "core/assert.h"
 #include "mesh/box_tree.h"
+#include "mesh/surface.h"
 #include "model/edit_tables.h"
 
 /// Finds what the skins of bodies hang on, so that edits can tear them.
@@ -214,21 +214,13 @@ class SkinTablesMaker {
   }
 
   void find_neighbours(std::size_t b) {
-    const std::vector<mesh::Triangle>& triangles = m_.bodies[b].triangles;
-    struct Side {
-      std::uint32_t triangle, side, from;
-    };
-    std::map<Pair, std::vector<Side>> edges;  // by their lower vertex, then the other one
-    for (std::uint32_t t = 0; t < triangles.size(); ++t) {
-      for (std::uint32_t side = 0; side < 3; ++side) {
-        const std::uint32_t from = triangles[t][side], to = triangles[t][(side + 1) % 3];
-        edges[{std::min(from, to), std::max(from, to)}].push_back({out_.triangle_begin[b] + t, side, from});
+    const std::uint32_t first = out_.triangle_begin[b];
+    const auto neighbours = mesh::edge_neighbours(m_.bodies[b].triangles);
+    for (std::size_t t = 0; t < neighbours.size(); ++t) {
+      for (std::size_t side = 0; side < 3; ++side) {
+        const std::uint32_t across = neighbours[t][side];
+        if (across != kNone) out_.neighbours[first + t][side] = first + across;
       }
-    }
-    for (const auto& [edge, sides] : edges) {
-      if (sides.size() != 2 || sides[0].from == sides[1].from) continue;
-      out_.neighbours[sides[0].triangle][sides[0].side] = sides[1].triangle;
-      out_.neighbours[sides[1].triangle][sides[1].side] = sides[0].triangle;
     }
   }
 
