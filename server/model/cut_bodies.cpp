@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <numeric>
 #include <utility>
 
 #include <fmt/format.h>
@@ -28,21 +27,15 @@ constexpr std::uint32_t kPartsOfElement = 2, kRowsOfNode = 4, kMoreCopies = 4096
 bool has_parts(mesh::Shape shape) { return shape == mesh::Shape::kTetrahedron || shape == mesh::Shape::kHexahedron; }
 
 /// Numbers the parts of split elements as elements of the body: see the top of cut_bodies.h.
-class PartNumbers {
- public:
-  explicit PartNumbers(const BodyCut& cut) {
-    const std::span<const mesh::CutPart> parts = cut.cut().parts();
-    std::uint32_t next = cut.topology().element_count();
-    for (std::uint32_t p = 0; p < parts.size(); ++p) {
-      const bool is_first = cut.cut().first_part(parts[p].element) == p;
-      element_of_part.push_back(is_first ? parts[p].element : next++);
-      if (!is_first) copies.push_back(p);
-    }
+void number_parts(const BodyCut& cut, ReadBody& body) {
+  const std::span<const mesh::CutPart> parts = cut.cut().parts();
+  std::uint32_t next = cut.topology().element_count();
+  for (std::uint32_t p = 0; p < parts.size(); ++p) {
+    const bool is_first = cut.cut().first_part(parts[p].element) == p;
+    body.part_elements.push_back(is_first ? parts[p].element : next++);
+    if (!is_first) body.copy_parts.push_back(p);
   }
-
-  std::vector<std::uint32_t> element_of_part;  // [part] element of the body
-  std::vector<std::uint32_t> copies;           // parts beyond the elements as loaded, ascending
-};
+}
 
 std::span<const std::uint32_t> rows_of(const BodyCut& cut, std::uint32_t part) {
   const mesh::CutPart& of = cut.cut().parts()[part];
@@ -54,9 +47,11 @@ mesh::Shape shape_of(const mesh::Topology& topology) {
 }
 
 /// Returns the mesh with rows of parts as nodes of elements.
-mesh::Mesh mesh_of(const BodyCut& cut, const PartNumbers& numbers) {
-  mesh::Mesh out = cut.mesh();
-  for (const mesh::VirtualNode& node : cut.cut().virtual_nodes()) out.nodes.push_back(cut.mesh().nodes[node.node]);
+/// copies: ReadBody::copy_parts
+mesh::Mesh mesh_of(const BodyCut& cut, std::span<const std::uint32_t> copies) {
+  const mesh::Mesh& loaded = cut.whole().mesh;
+  mesh::Mesh out = loaded;
+  for (const mesh::VirtualNode& node : cut.cut().virtual_nodes()) out.nodes.push_back(loaded.nodes[node.node]);
   std::uint32_t element = 0;
   for (mesh::ElementBlock& block : out.blocks) {
     const std::size_t width = mesh::topology(block.shape).node_count;
@@ -65,9 +60,9 @@ mesh::Mesh mesh_of(const BodyCut& cut, const PartNumbers& numbers) {
       if (part != kNone) std::ranges::copy(rows_of(cut, part), nodes);
     }
   }
-  for (const std::uint32_t part : numbers.copies) {
+  for (const std::uint32_t part : copies) {
     const mesh::Shape shape = shape_of(cut.topology().shape(cut.cut().parts()[part].element));
-    const bool starts = out.blocks.size() == cut.mesh().blocks.size() || out.blocks.back().shape != shape;
+    const bool starts = out.blocks.size() == loaded.blocks.size() || out.blocks.back().shape != shape;
     if (starts) out.blocks.push_back({shape, {}});
     std::ranges::copy(rows_of(cut, part), std::back_inserter(out.blocks.back().nodes));
   }
@@ -79,30 +74,29 @@ Result<void> cut_apart(ReadBody& body, std::shared_ptr<const BodyCut> cut) {
   if (!body.middle_of.empty()) {
     return invalid(fmt::format("body '{}': a mesh that element_order made quadratic cannot be cut yet", body.name));
   }
-  const PartNumbers numbers(*cut);
+  number_parts(*cut, body);
   const std::span<const mesh::CutPart> parts = cut->cut().parts();
   for (const mesh::VirtualNode& node : cut->cut().virtual_nodes()) body.node_copies.push_back({node.node, node.parent});
-  for (const std::uint32_t part : numbers.copies) {
+  for (const std::uint32_t part : body.copy_parts) {
     const mesh::CutPart& of = parts[part];
-    const std::uint32_t parent = of.parent == kNone ? of.element : numbers.element_of_part[of.parent];
+    const std::uint32_t parent = of.parent == kNone ? of.element : body.part_elements[of.parent];
     body.element_copies.push_back({of.element, parent});
     if (!body.element_materials.empty()) body.element_materials.push_back(body.element_materials[of.element]);
   }
-  body.copy_parts = numbers.copies;
-  body.mesh = mesh_of(*cut, numbers);
+  body.mesh = mesh_of(*cut, body.copy_parts);
   body.node_count = static_cast<std::uint32_t>(body.mesh.nodes.size());
-  body.element_count += static_cast<std::uint32_t>(numbers.copies.size());
+  body.element_count += static_cast<std::uint32_t>(body.copy_parts.size());
   body.cut = std::move(cut);
   return {};
 }
 
 }  // namespace
 
-BodyCut::BodyCut(mesh::Mesh mesh, std::vector<ElementRing> rings)
-    : mesh_(std::move(mesh)),
-      rings_(std::move(rings)),
-      cut_(topology_, {.parts = kPartsOfElement * topology_.element_count() + kMoreCopies,
-                       .rows = kRowsOfNode * topology_.node_count() + kMoreCopies}) {}
+BodyCut::BodyCut(std::shared_ptr<const Whole> whole, mesh::CutChanges changes)
+    : whole_(std::move(whole)),
+      cut_(topology(), {.parts = kPartsOfElement * topology().element_count() + kMoreCopies,
+                        .rows = kRowsOfNode * topology().node_count() + kMoreCopies}),
+      changes_(std::move(changes)) {}
 
 Result<std::unique_ptr<BodyCut>> BodyCut::make(const ReadBody& body) {
   TM_ASSERT(body.cut == nullptr, "cuts are made in the mesh as loaded");
@@ -111,16 +105,17 @@ Result<std::unique_ptr<BodyCut>> BodyCut::make(const ReadBody& body) {
     return invalid(fmt::format("body '{}': elements of shape {} cannot be cut yet; tetrahedra and hexahedra can",
                                body.name, mesh::topology(block.shape).name));
   }
-  return std::unique_ptr<BodyCut>(new BodyCut(body.mesh, ring_tetrahedra(body)));
+  auto whole = std::make_shared<const Whole>(body.mesh, ring_tetrahedra(body));
+  mesh::CutChanges none(whole->surface);
+  return std::unique_ptr<BodyCut>(new BodyCut(std::move(whole), std::move(none)));
 }
 
 std::unique_ptr<BodyCut> BodyCut::copy() const {
-  std::unique_ptr<BodyCut> out(new BodyCut(mesh_, rings_));
+  std::unique_ptr<BodyCut> out(new BodyCut(whole_, changes_));
   for (const CutBatch& batch : batches_) {
     const bool refused = out->cut_.cut(batch.edges).refused;
     TM_ASSERT(!refused, "the same cuts were made before");
   }
-  out->changes_ = changes_;
   out->batches_ = batches_;
   out->area_m2_ = area_m2_;
   return out;
@@ -198,9 +193,8 @@ ElementPart part_of(const ReadBody& body, std::uint32_t element) {
 std::vector<mesh::BoundaryFace> uncut_boundary_faces(const ReadBody& body) {
   if (body.cut == nullptr) return mesh::boundary_faces(body.mesh);
   const BodyCut& cut = *body.cut;
-  const PartNumbers numbers(cut);
   std::vector<mesh::BoundaryFace> out;
-  for (const mesh::BoundaryFace& face : mesh::boundary_faces(cut.mesh())) {
+  for (const mesh::BoundaryFace& face : cut.whole().faces) {
     if (cut.cut().first_part(face.element) == kNone) {
       out.push_back(face);
       continue;
@@ -211,7 +205,7 @@ std::vector<mesh::BoundaryFace> uncut_boundary_faces(const ReadBody& body) {
     const bool is_uncut = std::all_of(local.nodes.begin(), local.nodes.begin() + std::ptrdiff_t(local.corner_count()),
                                       [&](std::uint8_t corner) { return (corners >> corner & 1) != 0; });
     if (!is_uncut) continue;
-    out.push_back({numbers.element_of_part[part], face.face, mesh::face_nodes(local, rows_of(cut, part))});
+    out.push_back({body.part_elements[part], face.face, mesh::face_nodes(local, rows_of(cut, part))});
   }
   std::sort(out.begin(), out.end(), [](const mesh::BoundaryFace& a, const mesh::BoundaryFace& b) {
     return std::pair(a.element, a.face) < std::pair(b.element, b.face);
@@ -221,10 +215,9 @@ std::vector<mesh::BoundaryFace> uncut_boundary_faces(const ReadBody& body) {
 
 std::vector<ElementRing> rings_of_cut(const ReadBody& body) {
   const BodyCut& cut = *body.cut;
-  const PartNumbers numbers(cut);
   const auto nodes_of = mesh::element_nodes(body.mesh);
   std::vector<ElementRing> out;
-  for (const ElementRing& ring : cut.rings()) {
+  for (const ElementRing& ring : cut.whole().rings) {
     const auto is_whole = [&](std::uint32_t element) { return cut.cut().first_part(element) == kNone; };
     if (std::all_of(ring.begin(), ring.end(), is_whole)) {
       out.push_back(ring);
@@ -234,7 +227,7 @@ std::vector<ElementRing> rings_of_cut(const ReadBody& body) {
     for (const std::uint32_t element : ring) {
       std::uint32_t part = cut.cut().first_part(element);
       if (part == kNone) copies.push_back(element);
-      for (; part != kNone; part = cut.cut().parts()[part].next) copies.push_back(numbers.element_of_part[part]);
+      for (; part != kNone; part = cut.cut().parts()[part].next) copies.push_back(body.part_elements[part]);
     }
     const auto shares_face = [&](std::uint32_t a, std::uint32_t b) {
       const auto has = [&](std::uint32_t node) { return std::ranges::find(nodes_of[b], node) != nodes_of[b].end(); };

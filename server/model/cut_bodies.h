@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <memory>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "core/result.h"
@@ -50,10 +51,20 @@ class BodyCut {
   /// Makes a cut. Fails, and leaves the body as it was, if an edge does not exist or a reserve is used up.
   Result<void> make_cut(std::uint32_t order, std::vector<mesh::CutEdge> edges);
 
-  const mesh::Mesh& mesh() const { return mesh_; }  ///< as loaded
-  const mesh::CutTopology& topology() const { return topology_; }
-  const mesh::Surface& surface() const { return surface_; }         ///< boundary of the mesh as loaded
-  const std::vector<ElementRing>& rings() const { return rings_; }  ///< those of the whole body
+  /// What cuts never change. Copies share it.
+  struct Whole {
+    mesh::Mesh mesh;                 ///< as loaded
+    std::vector<ElementRing> rings;  ///< tetrahedron_rings.h
+    mesh::CutTopology topology{mesh};
+    std::vector<mesh::BoundaryFace> faces{mesh::boundary_faces(mesh)};
+    mesh::Surface surface{mesh::surface_of(mesh, faces)};
+
+    Whole(mesh::Mesh of_mesh, std::vector<ElementRing> of_rings)
+        : mesh(std::move(of_mesh)), rings(std::move(of_rings)) {}
+    Whole(const Whole&) = delete;  // the topology refers to the mesh
+  };
+  const Whole& whole() const { return *whole_; }
+  const mesh::CutTopology& topology() const { return whole_->topology; }
   const mesh::Cut& cut() const { return cut_; }
   const mesh::CutChanges& changes() const { return changes_; }
   const std::vector<CutBatch>& batches() const { return batches_; }
@@ -63,14 +74,11 @@ class BodyCut {
   BodyCut& operator=(const BodyCut&) = delete;
 
  private:
-  BodyCut(mesh::Mesh mesh, std::vector<ElementRing> rings);
+  BodyCut(std::shared_ptr<const Whole> whole, mesh::CutChanges changes);
 
-  mesh::Mesh mesh_;
-  mesh::CutTopology topology_{mesh_};
-  mesh::Surface surface_{mesh::boundary(mesh_)};
-  std::vector<ElementRing> rings_;
+  std::shared_ptr<const Whole> whole_;
   mesh::Cut cut_;
-  mesh::CutChanges changes_{surface_};
+  mesh::CutChanges changes_;
   std::vector<CutBatch> batches_;
   double area_m2_ = 0;
 };

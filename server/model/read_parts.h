@@ -35,10 +35,11 @@ class BodyCut;
 
 /// A body whose message is read and whose mesh is admitted.
 struct ReadBody : AdmittedBody {
-  mesh::Mesh mesh;                        ///< a body with cuts has their copies here
-  std::shared_ptr<const BodyCut> cut;     ///< cut_bodies.h; nullptr: the body is whole
-  std::vector<std::uint32_t> copy_parts;  ///< [element_copies] index into mesh::Cut::parts
-  std::vector<mesh::EdgeEnds> middle_of;  ///< edges in whose middles the last nodes are (BodyNodes)
+  mesh::Mesh mesh;                           ///< a body with cuts has their copies here
+  std::shared_ptr<const BodyCut> cut;        ///< cut_bodies.h; nullptr: the body is whole
+  std::vector<std::uint32_t> copy_parts;     ///< [element_copies] index into mesh::Cut::parts
+  std::vector<std::uint32_t> part_elements;  ///< [mesh::Cut::parts] element of the body
+  std::vector<mesh::EdgeEnds> middle_of;     ///< edges in whose middles the last nodes are (BodyNodes)
   physics::Quadrature quadrature = physics::Quadrature::kFull;
   bool consistent_mass = false;
   double density_kg_per_m3 = 0;

@@ -147,7 +147,7 @@ Result<VisibleBodies> make_visible_surface(const v1::Scene& scene, const ReadBod
       body.has_skin = true;
     } else {
       // That of the mesh as loaded: what cuts change of it is appended (append_cut_vertices).
-      const mesh::Surface& surface = read.cut == nullptr ? boundaries.of(b) : read.cut->surface();
+      const mesh::Surface& surface = read.cut == nullptr ? boundaries.of(b) : read.cut->whole().surface;
       for (const std::uint32_t node : surface.nodes) add({node, node, node, node}, {1, 0, 0, 0});
       body.triangles = surface.triangles;
       body.vertex_nodes = surface.nodes;
