@@ -97,46 +97,44 @@ Result<std::vector<mesh::CutEdge>> edges_of(const mesh::CutTopology& topology, c
   return out;
 }
 
-/// How many of the first cuts of a body a list has.
-std::size_t cuts_in_common(const BodyCut& body, const ListedCuts& list) {
-  std::size_t first = 0, cuts = 0;
-  for (const model::CutBatch& batch : body.batches()) {
-    if (cuts == list.counts.size() || list.counts[cuts] != batch.edges.size() || list.orders[cuts] != batch.order) {
-      return cuts;
-    }
-    for (const mesh::CutEdge& edge : batch.edges) {
-      const mesh::EdgeEnds ends = body.topology().ends(edge.edge);
-      if (list.ends[2 * first] != ends[0] || list.ends[2 * first + 1] != ends[1] ||
-          list.crossings[first] != edge.crossing) {
-        return cuts;
-      }
-      ++first;
-    }
-    ++cuts;
-  }
-  return cuts;
+tl::unexpected<Error> refuse_to_take_back() {
+  return fail(ErrorCode::kFailedPrecondition,
+              "changes.bodies.cuts: the scene has cuts that are not among these; reset it first, which heals them");
 }
 
+/// Returns the cuts of a body. present: those that it has now, with which the message must begin; nullptr: none
 Result<std::shared_ptr<const BodyCut>> read_body(const v1::MeshCuts& message, std::size_t body,
                                                  const std::shared_ptr<const BodyCut>& present, LoadedBodies& loaded,
                                                  std::string_view where) {
   TM_ASSIGN_OR_RETURN(list, read_list(message, where));
-  if (list.counts.empty()) return std::shared_ptr<const BodyCut>();
-  const std::size_t common = present == nullptr ? 0 : cuts_in_common(*present, list);
-  const bool goes_on = present != nullptr && common == present->batches().size();
-  if (goes_on && common == list.counts.size()) return present;
+  if (list.counts.empty() && present == nullptr) return present;
   std::unique_ptr<BodyCut> out;
-  if (goes_on) {
-    out = present->copy();
-  } else {
+  if (present == nullptr) {
     TM_ASSIGN_OR_RETURN(whole, loaded.whole(body));
     out = std::move(whole);
   }
+  const mesh::CutTopology& topology = present == nullptr ? out->topology() : present->topology();
+  std::vector<model::CutBatch> batches;
   std::size_t first = 0;
   for (std::size_t cut = 0; cut < list.counts.size(); first += list.counts[cut++]) {
-    if (cut < out->batches().size()) continue;
-    TM_ASSIGN_OR_RETURN(edges, edges_of(out->topology(), list, first, list.counts[cut], where));
-    if (auto made = out->make_cut(list.orders[cut], std::move(edges)); !made) {
+    TM_ASSIGN_OR_RETURN(edges, edges_of(topology, list, first, list.counts[cut], where));
+    batches.push_back({list.orders[cut], std::move(edges)});
+  }
+  if (present != nullptr) {
+    const auto same = [](const model::CutBatch& a, const model::CutBatch& b) {
+      return a.order == b.order && std::ranges::equal(a.edges, b.edges, [](const auto& x, const auto& y) {
+               return x.edge == y.edge && x.crossing == y.crossing;
+             });
+    };
+    const std::vector<model::CutBatch>& made = present->batches();
+    if (made.size() > batches.size() || !std::equal(made.begin(), made.end(), batches.begin(), same)) {
+      return refuse_to_take_back();
+    }
+    if (made.size() == batches.size()) return present;
+    out = present->copy();
+  }
+  for (std::size_t cut = out->batches().size(); cut < batches.size(); ++cut) {
+    if (auto made = out->make_cut(batches[cut].order, std::move(batches[cut].edges)); !made) {
       return fail(made.error().code, fmt::format("{}: {}", where, made.error().message));
     }
   }
@@ -215,19 +213,25 @@ Result<SceneCuts> read_cuts(const v1::Scene& loaded, const v1::SceneAdjustments&
   SceneCuts out(static_cast<std::size_t>(loaded.bodies_size()));
   LoadedBodies bodies(loaded);
   std::vector<std::uint32_t> orders;
+  bool comes_before = false;  // a new cut has its place before one that was made
   for (std::size_t b = 0; b < out.size(); ++b) {
     const v1::BodyAdjustment& body = wanted.bodies(static_cast<int>(b));
     const auto before = present.empty() ? nullptr : present[b];
     TM_ASSIGN_OR_RETURN(
         cuts, read_body(body.cuts(), b, before, bodies, fmt::format("changes.bodies ('{}').cuts", body.body())));
     if (cuts == nullptr) continue;
-    for (const model::CutBatch& batch : cuts->batches()) orders.push_back(batch.order);
+    const std::size_t made = before == nullptr ? 0 : before->batches().size();
+    for (std::size_t cut = 0; cut < cuts->batches().size(); ++cut) {
+      orders.push_back(cuts->batches()[cut].order);
+      comes_before = comes_before || (cut >= made && orders.back() < next_order(present));
+    }
     out[b] = std::move(cuts);
   }
   std::sort(orders.begin(), orders.end());
   if (std::adjacent_find(orders.begin(), orders.end()) != orders.end()) {
     return invalid("changes.bodies.cuts.orders: two cuts have the same place among those of the scene");
   }
+  if (comes_before) return refuse_to_take_back();
   if (orders.empty()) return SceneCuts();
   if (!loaded.editing().has_cutting()) {
     return fail(ErrorCode::kFailedPrecondition, "the scene has no room for cuts; load it with scene.editing.cutting");
@@ -288,30 +292,6 @@ Result<SceneCuts> cut_edges(const v1::Scene& loaded, const v1::SceneEdit& edit, 
     out[b] = std::move(body);
   }
   return out;
-}
-
-bool has_cuts_of(const SceneCuts& more, const SceneCuts& fewer) {
-  const auto count_before = [end = next_order(fewer)](const SceneCuts& cuts) {
-    std::ptrdiff_t count = 0;
-    for (const auto& body : cuts) {
-      if (body == nullptr) continue;
-      count += std::ranges::count_if(body->batches(), [&](const model::CutBatch& batch) { return batch.order < end; });
-    }
-    return count;
-  };
-  if (count_before(more) != count_before(fewer)) return false;  // a new one would come before
-  for (std::size_t b = 0; b < fewer.size(); ++b) {
-    if (fewer[b] == nullptr || (b < more.size() && more[b] == fewer[b])) continue;
-    if (b >= more.size() || more[b] == nullptr) return false;
-    const std::vector<model::CutBatch>&all = more[b]->batches(), &first = fewer[b]->batches();
-    const auto same = [](const model::CutBatch& a, const model::CutBatch& c) {
-      return a.order == c.order && std::ranges::equal(a.edges, c.edges, [](const auto& x, const auto& y) {
-               return x.edge == y.edge && x.crossing == y.crossing;
-             });
-    };
-    if (first.size() > all.size() || !std::equal(first.begin(), first.end(), all.begin(), same)) return false;
-  }
-  return true;
 }
 
 double area_of(const SceneCuts& cuts) {

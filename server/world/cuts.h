@@ -18,8 +18,8 @@
 ///   a recording, AdjustScene ──read_cuts─┘
 namespace tensormass::world {
 
-/// Returns the cuts of the values `wanted`. present: those of the scene now, which they share as far as they agree.
-/// Fails if an edge or a crossing does not exist.
+/// Returns the cuts of the values `wanted`. present: those of the scene now, which `wanted` must have, and others after
+/// them. Fails if it has not, or if an edge or a crossing does not exist.
 Result<model::SceneCuts> read_cuts(const v1::Scene& loaded, const v1::SceneAdjustments& wanted,
                                    const model::SceneCuts& present);
 /// Puts all cuts into the values of a scene. adjustments: adjustments_of (adjustments.h), with each body
@@ -29,8 +29,6 @@ void write_cuts(const model::SceneCuts& cuts, v1::SceneAdjustments& adjustments)
 /// edge of the mesh.
 Result<model::SceneCuts> cut_edges(const v1::Scene& loaded, const v1::SceneEdit& edit, const model::SceneCuts& present);
 
-/// Whether `more` has all cuts of `fewer`, in the same order, and any others after them.
-bool has_cuts_of(const model::SceneCuts& more, const model::SceneCuts& fewer);
 /// Sum over all bodies [m²].
 double area_of(const model::SceneCuts& cuts);
 /// Returns how the surface differs from that of the loaded scene. Leaves the revision open. model: with these cuts

@@ -99,6 +99,7 @@ struct Runner::Impl {
   Result<v1::SceneStatus> apply(const Restore& restore, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const Reset& reset, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const ChangeScene& change, const EditPointer& edit);
+  Result<void> take_values(v1::SceneAdjustments wanted);
   Result<void> swap_world(v1::SceneAdjustments wanted, model::SceneCuts cuts, const EditPointer& reset = nullptr);
   Result<v1::SceneStatus> cut(const v1::SceneEdit& edit);
 
@@ -286,8 +287,7 @@ Result<v1::AdjustSceneResponse> Runner::adjust(const v1::SceneAdjustments& chang
   const v1::SceneAdjustments present = impl_->loop->generation()->adjustments;
   TM_ASSIGN_OR_RETURN(wanted, with_changes(present, changes));
   if (wanted.SerializeAsString() != present.SerializeAsString()) {
-    TM_ASSIGN_OR_RETURN(cuts, read_cuts(impl_->source->scene, wanted, impl_->loop->generation()->cuts));
-    TM_RETURN_IF_ERROR(impl_->swap_world(std::move(wanted), std::move(cuts)));
+    TM_RETURN_IF_ERROR(impl_->take_values(std::move(wanted)));
   }
   v1::AdjustSceneResponse response;
   *response.mutable_status() = status();
@@ -304,9 +304,14 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Adjust& adjust, const EditPoin
   if (!source) return fail(ErrorCode::kFailedPrecondition, "the scene was not loaded from a message");
   const std::lock_guard lock(adjusting);
   TM_ASSIGN_OR_RETURN(wanted, with_changes(loop->generation()->adjustments, adjust.values));
-  TM_ASSIGN_OR_RETURN(cuts, read_cuts(source->scene, wanted, loop->generation()->cuts));
-  TM_RETURN_IF_ERROR(swap_world(std::move(wanted), std::move(cuts)));
+  TM_RETURN_IF_ERROR(take_values(std::move(wanted)));
   return loop->status().make();
+}
+
+/// Gives the scene other values and cuts. Needs `adjusting`.
+Result<void> Runner::Impl::take_values(v1::SceneAdjustments wanted) {
+  TM_ASSIGN_OR_RETURN(cuts, read_cuts(source->scene, wanted, loop->generation()->cuts));
+  return swap_world(std::move(wanted), std::move(cuts));
 }
 
 /// A cut is an adjustment of the values, so that recordings and snapshots have it.
@@ -354,10 +359,6 @@ Result<v1::SceneStatus> Runner::Impl::apply(const ChangeScene& change, const Edi
 /// cuts: those of `wanted`. reset: the edit that takes the scene to its start; nullptr: it goes on from its state
 Result<void> Runner::Impl::swap_world(v1::SceneAdjustments wanted, model::SceneCuts cuts, const EditPointer& reset) {
   const GenerationPointer present = loop->generation();
-  if (reset == nullptr && !has_cuts_of(cuts, present->cuts)) {
-    return fail(ErrorCode::kFailedPrecondition,
-                "changes.bodies.cuts: the scene has cuts that are not among these; reset it first, which heals them");
-  }
   const bool same_cuts = cuts == present->cuts;
   TM_ASSIGN_OR_RETURN(compiled, compile_scene(adjusted(source->scene, wanted), source->options, {}, cuts));
   TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
