@@ -57,14 +57,6 @@ std::vector<double> of_nodes(const std::vector<double>& values, const std::vecto
   return out;
 }
 
-/// Returns the elements of a group in the order of a NodeState.
-std::vector<std::uint32_t> elements_of(const model::ElementGroup& group) {
-  std::vector<std::uint32_t> out = group.elements;
-  std::erase(out, mesh::kNone);
-  std::sort(out.begin(), out.end());
-  return out;
-}
-
 /// Returns where the internal variables of each element begin: [element] mesh::kNone: it has none.
 /// reals: [element] how many it has
 std::vector<std::size_t> begins_of_variables(const Model& m, std::vector<std::size_t>& reals) {
@@ -107,21 +99,16 @@ using TriangleKey = std::array<std::uint32_t, 4>;
 /// Calls visit(key, place) for each triangle of the contact surface in the order of a NodeState.
 template <class Visit>
 void for_each_triangle(const Model& m, const Visit& visit) {
-  std::vector<std::uint32_t> first_nodes;
-  std::vector<TriangleKey> keys;
-  for (std::size_t t = 0; t < m.contact.triangle_count(); ++t) {
+  std::size_t place = 0;
+  for (const std::uint32_t triangle : order_of_triangles(m)) {
     std::array<std::uint32_t, 3> nodes;
-    for (std::size_t c = 0; c < 3; ++c) nodes[c] = m.layout.node_of_row[m.contact.triangle_rows[3 * t + c]];
+    for (std::size_t c = 0; c < 3; ++c) {
+      nodes[c] = m.layout.node_of_row[m.contact.triangle_rows[3 * std::size_t{triangle} + c]];
+    }
     const auto body = static_cast<std::uint32_t>(m.body_of_node(nodes[0]));
     const std::uint32_t begin = m.bodies[body].node_begin;
-    first_nodes.push_back(nodes[0]);
-    keys.push_back({body, nodes[0] - begin, nodes[1] - begin, nodes[2] - begin});
+    visit(TriangleKey{body, nodes[0] - begin, nodes[1] - begin, nodes[2] - begin}, place++);
   }
-  std::vector<std::uint32_t> order(keys.size());
-  for (std::uint32_t t = 0; t < order.size(); ++t) order[t] = t;
-  std::stable_sort(order.begin(), order.end(),
-                   [&](std::uint32_t a, std::uint32_t b) { return first_nodes[a] < first_nodes[b]; });
-  for (std::size_t place = 0; place < order.size(); ++place) visit(keys[order[place]], place);
 }
 
 std::vector<double> of_triangles(const Model& before, const NodeState& state, const Model& after) {

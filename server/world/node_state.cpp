@@ -56,9 +56,7 @@ class GroupVariables {
   explicit GroupVariables(const ElementGroup& group)
       : group_(group),
         reals_(std::size_t{group.point_count} * group.prony.size() * physics::kSymmetricReals),
-        elements_(group.elements) {
-    std::erase(elements_, mesh::kNone);
-    std::sort(elements_.begin(), elements_.end());
+        elements_(elements_of(group)) {
     TM_ASSERT(elements_.size() == group.element_count, "a group has each of its elements once");
   }
 
@@ -166,16 +164,6 @@ std::vector<std::uint32_t> order_by(std::size_t count, const Key& key) {
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return key(a) < key(b); });
   return order;
-}
-
-/// Triangles in the order of a NodeState. The layout sorts them by the row of their first corner, and those of one row
-/// stay in the order of the boundary. Edits move triangles within the room of their patch, so a scene with editing
-/// keeps the layout's order.
-std::vector<std::uint32_t> order_of_triangles(const Model& m) {
-  if (m.edit_tables) return order_by(m.contact.triangle_count(), [](std::uint32_t triangle) { return triangle; });
-  return order_by(m.contact.triangle_count(), [&](std::uint32_t triangle) {
-    return m.layout.node_of_row[m.contact.triangle_rows[3 * std::size_t{triangle}]];
-  });
 }
 
 /// Candidates in the order of a NodeState.
@@ -297,6 +285,23 @@ NodeStateSizes sizes_of(const Model& m) {
           .slips = m.contacts_remember() ? kSlipReals * m.contact_points() * m.contact.triangle_count() : 0,
           .link_slips = kSlipReals * m.links.candidate_count(),
           .broken = m.links.spring_count()};
+}
+
+/// The layout sorts them by the row of their first corner, and those of one row
+/// stay in the order of the boundary. Edits move triangles within the room of their patch, so a scene with editing
+/// keeps the layout's order.
+std::vector<std::uint32_t> order_of_triangles(const Model& m) {
+  if (m.edit_tables) return order_by(m.contact.triangle_count(), [](std::uint32_t triangle) { return triangle; });
+  return order_by(m.contact.triangle_count(), [&](std::uint32_t triangle) {
+    return m.layout.node_of_row[m.contact.triangle_rows[3 * std::size_t{triangle}]];
+  });
+}
+
+std::vector<std::uint32_t> elements_of(const ElementGroup& group) {
+  std::vector<std::uint32_t> out = group.elements;
+  std::erase(out, mesh::kNone);
+  std::sort(out.begin(), out.end());
+  return out;
 }
 
 NodeState by_node(const Model& m, const LayoutState& state) {

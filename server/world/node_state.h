@@ -85,6 +85,11 @@ NodeState by_node(const model::Model& model, const LayoutState& state);
 /// two equally fine bodies searches.
 LayoutState in_layout(const model::Model& model, const NodeState& state);
 
+/// Returns the triangles of the contact surface in the order of a NodeState.
+std::vector<std::uint32_t> order_of_triangles(const model::Model& model);
+/// Returns the elements of a group in the order of a NodeState.
+std::vector<std::uint32_t> elements_of(const model::ElementGroup& group);
+
 /// Refuses pairs that are not ascending, or that name edges which cannot touch in this scene.
 Result<void> check_edge_pairs(const model::Model& model, std::span<const EdgePair> pairs);
 
