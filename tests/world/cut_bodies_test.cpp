@@ -2,7 +2,6 @@
 
 #include <cmath>
 #include <memory>
-#include <numeric>
 #include <random>
 #include <span>
 #include <string>
@@ -10,6 +9,7 @@
 
 #include <gtest/gtest.h>
 
+#include "mesh/components.h"
 #include "support/cutting.h"
 
 /// Bodies that are cut apart: what a cut must not change, and what the pieces then do.
@@ -156,29 +156,23 @@ TEST_P(CutBodies, MoveApartEachWithItsOwnMomentum) {
 
     const model::Model& m = after->model();
     // Which piece a node belongs to: by the elements that have it.
-    std::vector<std::uint32_t> piece(m.layout.row_of_node.size());
-    std::iota(piece.begin(), piece.end(), 0u);
-    const auto root = [&](std::uint32_t node) {
-      while (piece[node] != node) node = piece[node];
-      return node;
-    };
+    mesh::Components pieces(m.layout.row_of_node.size());
     for (const model::ElementGroup& group : m.groups) {
       const std::size_t nodes = group.rows.size() / group.stride;
       for (std::size_t place = 0; place < group.elements.size(); ++place) {
         if (group.elements[place] == mesh::kNone) continue;
         for (std::size_t k = 1; k < nodes; ++k) {
-          const std::uint32_t a = root(m.layout.node_of_row[group.rows[place]]),
-                              b = root(m.layout.node_of_row[group.rows[k * group.stride + place]]);
-          piece[std::max(a, b)] = std::min(a, b);
+          pieces.join(m.layout.node_of_row[group.rows[place]],
+                      m.layout.node_of_row[group.rows[k * group.stride + place]]);
         }
       }
     }
     const auto momenta = [&] {
       std::map<std::uint32_t, std::pair<double, Vector3d>> out;
       const backend::RowState state = after->state();
-      for (std::uint32_t node = 0; node < piece.size(); ++node) {
+      for (std::uint32_t node = 0; node < m.layout.row_of_node.size(); ++node) {
         const std::size_t row = m.layout.row_of_node[node];
-        auto& [mass, momentum] = out.try_emplace(root(node), 0.0, Vector3d::Zero()).first->second;
+        auto& [mass, momentum] = out.try_emplace(pieces.root(node), 0.0, Vector3d::Zero()).first->second;
         mass += m.row_mass[row];
         momentum += m.row_mass[row] *
                     Vector3d(state.velocity[4 * row], state.velocity[4 * row + 1], state.velocity[4 * row + 2]);

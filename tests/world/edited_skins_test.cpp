@@ -147,10 +147,10 @@ Triangles boundary_of(const model::Model& m, const model::Editor& editor) {
   return out;
 }
 
-/// Returns the distance of the nearest triangle along a ray, infinite if there is none, and whether its front is met.
+/// The first triangle that a ray meets.
 struct Hit {
-  double at_m = std::numeric_limits<double>::infinity();
-  bool front = true;
+  double at_m = std::numeric_limits<double>::infinity();  ///< distance; infinite: the ray meets no triangle
+  bool front = true;                                      ///< false: the ray comes from behind the triangle
 };
 
 Hit first_hit(const Triangles& triangles, const Vec3<double>& from, const Vec3<double>& along) {
