@@ -137,7 +137,7 @@ void check_links(const Model& m) {
   const Links& links = m.links;
   if (links.count() == 0) return;
   const std::size_t patches = m.layout.patch_count, sides = links.side_groups.size() / 3;
-  TM_ASSERT(m.solve == SolveKind::kStages, "fused solves know no links");
+  TM_ASSERT(m.solve != SolveKind::kStreamed, "the streamed solve knows no links");
   assert_offsets(links.patch_rows, patches, links.rows.size());
   TM_ASSERT(are_below(links.rows, m.layout.row_count) && links.row_place.size() == m.layout.row_count,
             "links name rows of the layout");

@@ -35,9 +35,10 @@ SolveChoice choose_solve(const Settings& settings, const ReadLinks& links, const
                          std::span<const ElementGroup> groups, const PatchPolicy& policy) {
   SolveChoice out;
   if (layout.storage == matrix::Storage::kEdges || settings.double_precision) return out;
-  if (!links.empty()) return out;  // the fused solves know only neighbours in the mesh (solver/link_product.h)
   const std::uint32_t rows = layout.largest_patch();
   if (policy.solve_of) out.kind = policy.solve_of(layout);
+  // The streamed solve knows only neighbours in the mesh.
+  if (!links.empty() && out.kind != SolveKind::kResident) return {};
   out.keeps_vectors = rows <= policy.solve_keeps_rows;
   // The solve checks volumes only if it is the last of its step, which Newton iterations do not know in advance.
   // PatchTetrahedra stores local numbers in 16 bits.

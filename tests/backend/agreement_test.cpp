@@ -11,6 +11,7 @@
 #include "support/laws.h"
 #include "support/ridges.h"
 #include "support/scenes.h"
+#include "support/strands.h"
 #include "world/world.h"
 
 /// CUDA and the CPU compute the same. They agree to rounding, amplified by 100 steps, but not bitwise: patch counts
@@ -25,6 +26,7 @@ struct Trajectory {
   std::uint32_t patches = 0, largest_patch = 0;
   matrix::Storage storage = matrix::Storage::kRows;
   bool solve_checks_volume = false;
+  model::SolveKind solve = model::SolveKind::kStages;
 };
 
 /// Steps a scene and returns where it ends. `press` moves the tool into the block; `policy` replaces the backend's
@@ -39,6 +41,7 @@ Trajectory run(const backend::Backend& backend, const v1::Scene& scene, int step
   out.largest_patch = model->layout.largest_patch();
   out.storage = model->layout.storage;
   out.solve_checks_volume = !model->checked.begin.empty();
+  out.solve = model->solve;
   auto world = world::World::create(std::make_unique<model::Model>(std::move(*model)), backend);
   EXPECT_TRUE(world) << world.error().message;
   for (int i = 0; i < steps; ++i) {
@@ -141,6 +144,27 @@ TEST_P(CudaAgreement, CrossedRidges) {
   double lowest_m = 0;
   for (std::size_t i = 1; i < cpu.positions.size(); i += 3) lowest_m = std::min(lowest_m, cpu.positions[i]);
   EXPECT_GT(lowest_m, -0.005) << "the ridges hold";
+}
+
+/// A block that hangs on strands, each between rows of two patches.
+TEST_P(CudaAgreement, StrandsBetweenManyPatches) {
+  v1::Scene scene = tests::strung_blocks(GetParam().double_precision, true);
+  for (v1::Body& body : *scene.mutable_bodies()) {
+    body.mutable_mesh()->mutable_grid()->set_cells_x(40);
+    body.mutable_mesh()->mutable_grid()->set_cells_y(6);
+    body.mutable_mesh()->mutable_grid()->set_cells_z(4);
+    if (!GetParam().linear) continue;
+    const v1::IsotropicElastic law = body.law().st_venant_kirchhoff();
+    *body.mutable_law()->mutable_hooke() = law;
+  }
+  scene.mutable_solver()->set_cg_tolerance(GetParam().double_precision ? 1e-14 : 1e-6);
+  const Trajectory rest = run(*cpu_, scene, 0, false);
+  const Trajectory cpu = run(*cpu_, scene, 60, false);
+  const Trajectory cuda = run(*cuda_, scene, 60, false), again = run(*cuda_, scene, 60, false);
+  EXPECT_GT(cuda.patches, 10u);
+  EXPECT_EQ(cuda.solve, GetParam().double_precision ? model::SolveKind::kStages : model::SolveKind::kResident);
+  EXPECT_LT(relative_difference(cpu.positions, cuda.positions, rest.positions), tolerance());
+  EXPECT_EQ(cuda.positions, again.positions) << "it repeats bitwise";
 }
 
 /// Pushes one node through its neighbours. The inverted element must be detected in every patch, by a stage or by the

@@ -9,6 +9,7 @@
 #include "model/compile.h"
 #include "support/laws.h"
 #include "support/scenes.h"
+#include "support/strands.h"
 
 /// A scene has only the stages and buffers that it needs.
 namespace tensormass::step {
@@ -173,6 +174,21 @@ TEST(Plan, ShowsTheFusedSolveInPlaceOfItsParts) {
             (Names{"resident solve: factorize, scale, conjugate gradients, advance"}));
   EXPECT_EQ(names_with(model::SolveKind::kStreamed),
             (Names{"factorize diagonal", "streamed solve: scale, pack, conjugate gradients, advance"}));
+}
+
+/// Links have blocks of their own in the resident solve. The streamed one knows none, so stages solve instead.
+TEST(Plan, ShowsAFusedSolveOfLinksOnlyIfItIsResident) {
+  const v1::Scene scene = tests::strung_blocks(false, false);
+  const auto solve_with = [&](model::SolveKind solve) {
+    model::PatchPolicy policy{.max_patches = 2, .min_nodes_per_patch = 1, .storage = matrix::Storage::kRows};
+    policy.solve_of = [solve](const matrix::Layout&) { return solve; };
+    const auto model = model::compile(scene, policy);
+    if (!model) throw std::runtime_error(model.error().message);
+    return model->solve;
+  };
+  EXPECT_EQ(solve_with(model::SolveKind::kResident), model::SolveKind::kResident);
+  EXPECT_EQ(solve_with(model::SolveKind::kStreamed), model::SolveKind::kStages);
+  EXPECT_EQ(solve_with(model::SolveKind::kStages), model::SolveKind::kStages);
 }
 
 TEST(Plan, CountsItsBytes) {

@@ -32,7 +32,8 @@ class CudaBackend final : public Backend {
             cuda::kMaxResidentRows,
             cuda::most_kept_rows(properties_),
             [](const matrix::Layout& layout) {
-              return cuda::plan_solve(layout).resident ? model::SolveKind::kResident : model::SolveKind::kStreamed;
+              return cuda::plan_solve(layout, false).resident ? model::SolveKind::kResident
+                                                              : model::SolveKind::kStreamed;
             }};
   }
   step::MachineRates rates(std::uint32_t) const override {

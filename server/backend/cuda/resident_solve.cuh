@@ -2,6 +2,7 @@
 
 #include <cuda_pipeline.h>
 
+#include "backend/cuda/link_blocks.cuh"
 #include "backend/cuda/patch_sums.cuh"
 #include "backend/cuda/patch_volume.cuh"
 #include "backend/cuda/resident_memory.h"
@@ -18,7 +19,7 @@
 ///   where the data of a patch are:
 ///     registers       x, r, p, q of own rows; the first Held blocks of each row
 ///     shared memory   direction (p, own and halo), r and q of the halo, L⁻¹, further blocks, as many as fit
-///     device memory   the blocks that remain (Whole = false)
+///     device memory   the blocks that remain (Whole = false); those of links, and rows that only links name (Linked)
 ///
 ///   factorize, scale ──> q = Â p ──> exchange q and sums ──> update x, r, p ──┬──> end_solve: move rows, check volume
 ///                          ^                                                  │
@@ -46,13 +47,16 @@ __device__ inline std::uint32_t computed_once(std::uint32_t value) {
 /// Held: blocks of a row in registers.
 /// column_capacity: columns of further blocks that shared memory holds.
 /// Whole: shared memory holds all further blocks. Otherwise the remaining ones are read from memory in each iteration.
-template <unsigned Threads, int Rows, int Held, bool Whole>
+/// Linked: the scene has links (link_blocks.cuh). Otherwise `room` is empty.
+template <unsigned Threads, int Rows, int Held, bool Whole, bool Linked>
 __global__ void __launch_bounds__(Threads, 1)
-    resident_solve(const __grid_constant__ SceneView<float> s, std::uint32_t column_capacity) {
+    resident_solve(const __grid_constant__ SceneView<float> s, std::uint32_t column_capacity,
+                   [[maybe_unused]] const LinkRoom room) {
   static_assert(Held % 2 == 0);
   extern __shared__ float4 shared[];
   __shared__ PatchSums<Threads> sums;
   __shared__ typename PatchVolume<Threads>::Parts tetrahedra;
+  __shared__ PatchLinks links;
   const view::Patch patch = view::patch_of(s.patches, blockIdx.x);
   const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
   float4* const direction = shared;                                        // [locals]
@@ -171,6 +175,10 @@ __global__ void __launch_bounds__(Threads, 1)
     const float2 b = inverse_rest[local];
     factor[0] = a.x, factor[1] = a.y, factor[2] = a.z, factor[3] = a.w, factor[4] = b.x, factor[5] = b.y;
   };
+  if constexpr (Linked) {
+    list_link_blocks<Threads>(s, patch, room, solver::Recurrence<float>::may_start_from_last(s.state), links,
+                              read_inverse);
+  }
   const auto scale = [&](int k, float(&block)[9], std::uint32_t column) {
     float own_inverse[6], other[6];
     read_inverse(has_row[k] ? thread + k * Threads : 0, own_inverse);
@@ -249,6 +257,11 @@ __global__ void __launch_bounds__(Threads, 1)
     }
     __syncthreads();
   }
+  [[maybe_unused]] LinkRange row_links[Rows];
+  if constexpr (Linked) {
+    __syncthreads();  // all blocks are listed
+    for (int k = 0; k < Rows; ++k) row_links[k] = has_row[k] ? room.of_row[row[k]] : LinkRange{0, 0};
+  }
   if (s.guard.patch_tetrahedra != nullptr) {
     const auto parts = PatchVolume<Threads>::parts_of(s, patch);
     PatchVolume<Threads>::expect(s, parts);
@@ -313,6 +326,7 @@ __global__ void __launch_bounds__(Threads, 1)
             },
             [&](std::uint32_t, const Far& far) { add(far.block, 1, far.column * kCellBytes); });
       }
+      if constexpr (Linked) add_link_blocks(room, row_links[k], direction, q[k]);
       if (has_row[k]) exchange.publish_row(row[k], q[k][0], q[k][1], q[k][2]);
       own_sums.x += p[k].dot(q[k]);
       own_sums.y += along_last ? p[k].dot(r[k]) : q[k].dot(q[k]);
@@ -331,6 +345,7 @@ __global__ void __launch_bounds__(Threads, 1)
           if (place < patch.halo_count) halo_product[place] = {cells[i].x, cells[i].y, cells[i].z, 0};
         }
       }
+      if constexpr (Linked) wait_for_guests(exchange, room, links, thread, kHaloThreads);
     }
     __syncthreads();
     const Exchange::Cell all = sums.total();
@@ -343,6 +358,7 @@ __global__ void __launch_bounds__(Threads, 1)
       p[k] = solver::next_direction(r[k], p[k], beta);
       if (has_row[k]) direction[thread + k * Threads] = {p[k][0], p[k][1], p[k][2], 0};
     }
+    if constexpr (Linked) update_guests<Threads>(room, links, alpha, beta);
     // Two at a time, so that their reads overlap.
     constexpr std::uint32_t kUpdatesAtOnce = 2;
     for (std::uint32_t h = thread; h < patch.halo_count; h += kUpdatesAtOnce * Threads) {
@@ -370,7 +386,11 @@ __global__ void __launch_bounds__(Threads, 1)
     __syncthreads();
   } while (recurrence.goes_on());
 
-  if (thread == 0 && patch.index == 0) recurrence.report(s.solve);
+  if (thread == 0 && patch.index == 0) {
+    recurrence.report(s.solve);
+    // Every patch has taken its part: its sums of the first iteration have come.
+    if constexpr (Linked) room.used[0] = room.used[1] = 0;
+  }
   Vec3<float> change[Rows];
   for (int k = 0; k < Rows; ++k) {
     float factor[6];

@@ -15,7 +15,8 @@ struct ResidentKernel {
 };
 /// Returns the kernels from the smallest patches to the largest. Fewer rows leave more registers to each thread, and so
 /// hold more of the matrix.
-std::span<const ResidentKernel> resident_kernels();
+/// linked: those for a scene with links (link_blocks.cuh).
+std::span<const ResidentKernel> resident_kernels(bool linked);
 
 /// streamed_solve (streamed_solve.cuh). Its signature: the scene's view and near_vectors.
 struct StreamedKernels {

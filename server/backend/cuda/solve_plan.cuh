@@ -5,6 +5,7 @@
 
 #include <cuda_runtime.h>
 
+#include "backend/cuda/link_blocks.cuh"
 #include "backend/cuda/solve_kernels.h"
 #include "backend/cuda/solve_room.h"
 #include "matrix/layout.h"
@@ -48,9 +49,10 @@ inline std::uint32_t most_kept_rows(const cudaDeviceProp& device) {
 
 /// Chooses the first kernel that the largest patch fits: resident solves first, then the streamed one. As much as
 /// possible of the matrix or of the vectors stays on the chip.
-inline SolvePlan plan_solve(const matrix::Layout& layout) {
+/// linked: the scene has links. Whether a patch fits a resident solve does not depend on it.
+inline SolvePlan plan_solve(const matrix::Layout& layout, bool linked) {
   const PatchSizes most = largest_sizes(layout);
-  for (const ResidentKernel& kernel : resident_kernels()) {
+  for (const ResidentKernel& kernel : resident_kernels(linked)) {
     if (most.rows > kernel.threads * kernel.rows) continue;
     const std::size_t most_bytes =
         std::min(allow_all_shared_bytes(kernel.whole), allow_all_shared_bytes(kernel.partly));
@@ -70,9 +72,11 @@ inline SolvePlan plan_solve(const matrix::Layout& layout) {
   return {false, kernel, kernels.threads, room.bytes, room.near_vectors};
 }
 
-inline cudaError_t launch_solve(const SolvePlan& plan, const view::SceneView<float>& view, cudaStream_t stream) {
+/// room: of a resident solve.
+inline cudaError_t launch_solve(const SolvePlan& plan, const view::SceneView<float>& view, const LinkRoom& room,
+                                cudaStream_t stream) {
   std::uint32_t argument = plan.argument;
-  void* arguments[] = {const_cast<view::SceneView<float>*>(&view), &argument};
+  void* arguments[] = {const_cast<view::SceneView<float>*>(&view), &argument, const_cast<LinkRoom*>(&room)};
   return cudaLaunchCooperativeKernel(plan.kernel, view.patches.patch_count, plan.threads, arguments, plan.shared_bytes,
                                      stream);
 }

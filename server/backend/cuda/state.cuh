@@ -84,7 +84,10 @@ class CudaState final : public SceneState {
       largest = std::max(largest, model.layout.patch_rows[p + 1] - model.layout.patch_rows[p]);
     }
     threads_ = std::clamp(largest, 128u, kMaxBlockThreads) / kWarp * kWarp;
-    if constexpr (kSinglePrecision) solve_plan_ = plan_solve(model.layout);
+    if constexpr (kSinglePrecision) {
+      solve_plan_ = plan_solve(model.layout, model.links.count() > 0);
+      if (model.solve == model::SolveKind::kResident) link_room_ = room_for_links();
+    }
     if (model.solve_keeps_vectors && !solve_plan_.keeps_vectors()) throw CudaFailure("no room for the solve's vectors");
     if (model.iterates()) {
       for (const step::Phase phase : {step::Phase::kBegin, step::Phase::kEvaluate, step::Phase::kSolve,
@@ -302,6 +305,14 @@ class CudaState final : public SceneState {
             .balance_reports = balance_reports_.data()};
   }
 
+  LinkRoom room_for_links() {
+    const std::size_t blocks = LinkRoom::kBlocksOfLink * std::size_t{model_.links.count()};
+    if (blocks == 0) return {};
+    return {arena_.zeros<LinkBlock>("blocks of links", blocks), arena_.zeros<LinkGuest>("guests of links", blocks),
+            arena_.zeros<LinkRange>("blocks of rows with links", view_.patches.row_count),
+            arena_.zeros<std::uint32_t>("taken blocks of links", 2)};
+  }
+
   /// Shared memory of a block of assemble_rows if two fit on a multiprocessor [bytes].
   static std::size_t most_rows_bytes(const cudaDeviceProp& device) {
     return std::min(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock,
@@ -376,7 +387,7 @@ class CudaState final : public SceneState {
     const bool of_group = step::is_of_group(stage.info->scope);
     const view::ElementView<Real> elements = of_group ? groups_[stage.group] : view::ElementView<Real>{};
     if (stage.info->scope == step::Scope::kFusedOnDevice) {
-      if constexpr (kSinglePrecision) check(launch_solve(solve_plan_, view_, stream()), "solve");
+      if constexpr (kSinglePrecision) check(launch_solve(solve_plan_, view_, link_room_, stream()), "solve");
       return;
     }
     if (stage.info->scope == step::Scope::kShapeAndLaw) {
@@ -451,6 +462,7 @@ class CudaState final : public SceneState {
   std::vector<std::uint32_t> moves_;  // [move, 2] contact triangles in the present edit: from, to
   unsigned threads_ = 0;
   SolvePlan solve_plan_;
+  LinkRoom link_room_{};
   Checkpoint<Real> checkpoint_;
   LoadFactors load_factors_;
   Graph step_;
