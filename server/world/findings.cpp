@@ -92,6 +92,8 @@ bool Findings::take_step(const World& world) {
   return turns;
 }
 
+void Findings::take_edits(const World& world) { broken_springs_.store(world.last().broken_springs, kRelaxed); }
+
 void Findings::take_diagnostics(const World& world) {
   TM_ASSERT(world.diagnostics().size() <= groups_.size(), "diagnostics of each element group");
   for (std::size_t g = 0; g < world.diagnostics().size(); ++g) {

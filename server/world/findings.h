@@ -34,6 +34,8 @@ class Findings {
   /// Loop: takes the results of the last World::step, also if the guard refused it. Returns whether a recovery began or
   /// ended with it.
   bool take_step(const World& world);
+  /// Loop: takes what an edit between two steps has changed.
+  void take_edits(const World& world);
   /// Loop: takes the results of the last World::diagnose.
   void take_diagnostics(const World& world);
   /// Loop: goes on counting with a model of other values.

@@ -381,8 +381,8 @@ Result<v1::SceneStatus> Loop::do_edit(const v1::SceneEdit& change, EditPointer e
 
 /// Tells clients what edits have left, and of a surface that is another one.
 void Loop::take_edits() {
-  if (world_->editor() == nullptr) return;
   status_.take_edits(*world_);
+  if (world_->editor() == nullptr) return;
   SurfaceChangesPointer changes = surface_.take(model(), *world_->editor());
   if (changes == nullptr) return;
   outputs_.set_changes(std::move(changes));

@@ -73,6 +73,7 @@ void LoopStatus::take_stamp(const StepStamp& stamp) {
 }
 
 void LoopStatus::take_edits(const World& world) {
+  findings_.take_edits(world);
   if (world.editor() == nullptr) return;
   removed_mass_kg_.store(world.editor()->removed_mass_kg(), std::memory_order_relaxed);
   removed_volume_m3_.store(world.editor()->removed_volume_m3(), std::memory_order_relaxed);

@@ -57,7 +57,7 @@ class LoopStatus {
   void take_diagnostics(const World& world) { findings_.take_diagnostics(world); }
   /// Step and simulated time of a step that was published, or of a state that a reset or a snapshot brought.
   void take_stamp(const StepStamp& stamp);
-  /// Takes what edits have removed.
+  /// Takes what edits have removed and severed.
   void take_edits(const World& world);
   /// The process can use its device no more (device_loss.h).
   void take_device_loss() { device_lost_.store(true, std::memory_order_relaxed); }

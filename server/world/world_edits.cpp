@@ -53,6 +53,7 @@ Result<void> World::edit(std::span<const model::Ablation> ablations, std::span<c
     apply(ablations);
     if (!broken_.empty()) read_broken();
   }
+  last_.broken_springs = broken_count_;
   return {};
 }
 

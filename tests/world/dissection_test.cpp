@@ -291,6 +291,25 @@ TEST_P(Dissection, NeedsATool) {
   EXPECT_GT(runner->status().broken_springs(), 0u);
 }
 
+/// A call severs while the scene stands still, and its answer counts already.
+TEST_P(Dissection, ByACallCountsAtOnce) {
+  const auto runner = load(tests::strung_blocks(true, true));
+  ASSERT_TRUE(runner->step(3));
+  v1::SceneEdit edit;
+  v1::Severing& severing = *edit.add_severings();
+  severing.set_attachment("strands");
+  severing.add_springs(2);
+  severing.add_springs(5);
+  const auto edited = runner->edit(edit);
+  ASSERT_TRUE(edited) << edited.error().message;
+  EXPECT_EQ(edited->broken_springs(), 2u);
+  EXPECT_EQ(runner->status().broken_springs(), 2u);
+  ASSERT_TRUE(runner->step(1));
+  EXPECT_EQ(runner->status().broken_springs(), 2u);
+  ASSERT_TRUE(runner->reset());
+  EXPECT_EQ(runner->status().broken_springs(), 0u);
+}
+
 /// Moves the tool through the gap, from strand to strand.
 void pass(Runner& runner, int from, int to) {
   for (int i = from; i < to; ++i) {
