@@ -1,6 +1,7 @@
 #pragma once
 
 #include "backend/cuda/exchange.cuh"
+#include "backend/cuda/resident_memory.h"
 #include "contact/links.h"
 #include "solver/conjugate_gradients.h"
 #include "solver/jacobi_scaling.h"
