@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <memory>
+#include <new>
 #include <thread>
 #include <utility>
 
@@ -57,6 +58,18 @@ model::Progress while_awaited(const grpc::ServerContext& context) {
   return model::Progress([&context](std::string_view, double) { return !context.IsCancelled(); });
 }
 
+/// Fills in the report of a scene that was loaded just now. Without memory for it the client hears that its scene is
+/// not loaded, so it must not be.
+template <class Response>
+void tell_report(SceneRegistry& registry, const world::Runner& loaded, Response& response) {
+  try {
+    *response.mutable_report() = loaded.report();
+  } catch (const std::bad_alloc&) {
+    (void)registry.unload(loaded.name());
+    throw;
+  }
+}
+
 }  // namespace
 
 ControlService::ControlService(SceneRegistry& registry, v1::GetVersionResponse identity,
@@ -103,7 +116,7 @@ grpc::Status ControlService::LoadScene(grpc::ServerContext* context, const v1::L
   if (!place) return place.refusal();
   const auto runner = registry_.load(request->scene(), while_awaited(*context));
   if (!runner) return to_status(runner.error());
-  *response->mutable_report() = (*runner)->report();
+  tell_report(registry_, **runner, *response);
   return grpc::Status::OK;
 }
 
@@ -123,7 +136,7 @@ grpc::Status ControlService::LoadSceneWithProgress(grpc::ServerContext* context,
   if (!runner) return to_status(runner.error());
   v1::LoadSceneWithProgressResponse response;
   response.set_fraction(1);
-  *response.mutable_report() = (*runner)->report();
+  tell_report(registry_, **runner, response);
   // The client is gone and does not know that the scene is loaded, so nobody would unload it.
   if (!writer->Write(response)) (void)registry_.unload(request->scene().name());
   return grpc::Status::OK;

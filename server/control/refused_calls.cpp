@@ -1,5 +1,6 @@
 #include "control/refused_calls.h"
 
+#include <new>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -57,8 +58,21 @@ class Interceptor final : public grpc::experimental::Interceptor {
       : call_(call), method_(call->method() + 1), on_refused_(on_refused) {}  // names start with a slash
 
   void Intercept(InterceptorBatchMethods* methods) override {
-    if (methods->QueryInterceptionHookPoint(InterceptionHookPoints::POST_RECV_MESSAGE)) {
-      const void* const request = methods->GetRecvMessage();
+    try {
+      look(*methods);
+    } catch (const std::bad_alloc&) {  // nobody is told, and the answer is short enough to need no memory
+      if (methods->QueryInterceptionHookPoint(InterceptionHookPoints::PRE_SEND_STATUS) &&
+          methods->GetSendStatus().error_code() == grpc::StatusCode::UNKNOWN) {
+        methods->ModifySendStatus({grpc::StatusCode::RESOURCE_EXHAUSTED, "no memory"});
+      }
+    }
+    methods->Proceed();
+  }
+
+ private:
+  void look(InterceptorBatchMethods& methods) {
+    if (methods.QueryInterceptionHookPoint(InterceptionHookPoints::POST_RECV_MESSAGE)) {
+      const void* const request = methods.GetRecvMessage();
       unreadable_ = request == nullptr;
       // gRPC's own services take bytes, and no message of protobuf.
       if (request != nullptr && on_refused_ && method_.starts_with(kOwnServices)) {
@@ -66,14 +80,12 @@ class Interceptor final : public grpc::experimental::Interceptor {
         scene_ = scene_of(dynamic_cast<const Message&>(*message));
       }
     }
-    if (methods->QueryInterceptionHookPoint(InterceptionHookPoints::PRE_SEND_STATUS)) {
-      mend_status(*methods);
-      tell(methods->GetSendStatus());
+    if (methods.QueryInterceptionHookPoint(InterceptionHookPoints::PRE_SEND_STATUS)) {
+      mend_status(methods);
+      tell(methods.GetSendStatus());
     }
-    methods->Proceed();
   }
 
- private:
   void mend_status(InterceptorBatchMethods& methods) const {
     const grpc::StatusCode code = methods.GetSendStatus().error_code();
     // gRPC's answer to an exception in a call. Ours throw none but for lack of memory.
@@ -115,7 +127,7 @@ class Factory final : public grpc::experimental::ServerInterceptorFactoryInterfa
     if (call->type() != ServerRpcInfo::Type::UNARY && call->type() != ServerRpcInfo::Type::SERVER_STREAMING) {
       return nullptr;
     }
-    return new Interceptor(call, on_refused_);
+    return new (std::nothrow) Interceptor(call, on_refused_);  // nullptr: the call goes on without
   }
 
  private:

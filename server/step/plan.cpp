@@ -82,7 +82,8 @@ void list_not_modelled(const model::Model& m, v1::SceneReport& report) {
   if (m.quasi_static()) {
     report.add_not_modelled("inertia and damping: each step is an equilibrium");
   } else if (!damped) {
-    report.add_not_modelled(fmt::format("Rayleigh damping: the scene names none; {}", own_damping(m.integrator)));
+    // Not as an argument: without memory for an element, protobuf 3.21 would destroy one that it does not have.
+    *report.add_not_modelled() = fmt::format("Rayleigh damping: the scene names none; {}", own_damping(m.integrator));
   }
   if (std::all_of(m.groups.begin(), m.groups.end(), [](const model::ElementGroup& g) { return g.prony.empty(); })) {
     report.add_not_modelled("viscosity: no law has prony terms");

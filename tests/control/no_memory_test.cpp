@@ -9,21 +9,17 @@
 #include "support/operator_new.h"
 #include "support/scenes.h"
 
-/// A call whose n-th large allocation fails is refused, for every n, and other scenes step on. This program replaces
-/// operator new, in every thread.
-///
-/// Small allocations do not fail here: a message of protobuf 3.21 whose new element finds no memory destroys one that
-/// it does not have.
+/// A call whose n-th allocation fails is refused, for every n, and other scenes step on. This program replaces operator
+/// new, in every thread and for protobuf, too.
 namespace {
 
-/// Allocations of at least kLarge bytes until one fails; 0 or less: none does.
+/// Allocations until one fails; 0 or less: none does.
 std::atomic<long> countdown{0};
-constexpr std::size_t kLarge = 1024;
 
 }  // namespace
 
-bool tensormass::tests::may_allocate(std::size_t size) noexcept {
-  return size < kLarge || countdown.load(std::memory_order_relaxed) <= 0 || countdown.fetch_sub(1) != 1;
+bool tensormass::tests::may_allocate(std::size_t) noexcept {
+  return countdown.load(std::memory_order_relaxed) <= 0 || countdown.fetch_sub(1) != 1;
 }
 
 namespace tensormass::control {
@@ -45,7 +41,7 @@ class NoMemory : public testing::Test {
     EXPECT_TRUE(tests::eventually([&] { return (*other)->status().step() > step; }, std::chrono::seconds(60)));
   }
   static v1::Scene scene(const std::string& name) {
-    v1::Scene scene = tests::block_with_probe(false, 6);
+    v1::Scene scene = tests::block_with_probe(false, 2);
     scene.set_name(name);
     return scene;
   }

@@ -45,6 +45,7 @@ _WITHOUT_PRIVATE_IMPORTS = (
 )
 
 _INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]*"([^"]+)"', re.MULTILINE)
+_BUILD_INCLUDE = re.compile(r"-include \S*/(\S+\.h)")
 _BARE_MARK = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b")
 _LINK = re.compile(r"\]\(([^)\s]+)(?: \"[^\"]*\")?\)")
 # Absolute paths of somebody's machine. In a URL or a relative path, another character comes before the slash.
@@ -125,11 +126,11 @@ def untested_folders(paths: Iterable[PurePosixPath], folders: list[str]) -> list
 
 
 def orphans(sources: dict[PurePosixPath, str]) -> list[str]:
-    """Finds dead files: C++ sources that no CMakeLists.txt above them names, and headers that nothing includes.
+    """Finds dead files: C++ sources that no CMakeLists.txt above them names, and headers that no code or build includes.
 
     `sources`: path and text of every C++ file and CMakeLists.txt.
     """
-    included = {name for text in sources.values() for name in _INCLUDE.findall(text)}
+    included = {name for text in sources.values() for name in _INCLUDE.findall(text) + _BUILD_INCLUDE.findall(text)}
     endings = {"/" + name for name in included}
     lists = {path.parent: text for path, text in sources.items() if path.name == "CMakeLists.txt"}
     problems = []

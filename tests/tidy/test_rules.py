@@ -107,4 +107,7 @@ def test_orphans() -> None:
     assert rules.orphans(sources | {Path("server/mesh/b.cpp"): ""}) == [
         "server/mesh/b.cpp: no CMakeLists.txt builds it"
     ]
-    assert rules.orphans(sources | {Path("server/mesh/aa.h"): ""}) == ["server/mesh/aa.h: nothing includes it"]
+    unused = {Path("server/mesh/aa.h"): ""}
+    assert rules.orphans(sources | unused) == ["server/mesh/aa.h: nothing includes it"]
+    built_with = {Path("CMakeLists.txt"): "target_compile_options(m PRIVATE -include ${SOURCES}/aa.h)"}
+    assert rules.orphans(sources | unused | built_with) == []

@@ -3,6 +3,7 @@
 #include <cstdint>
 
 #include "backend/cuda/exchange_cells.h"
+#include "backend/cuda/stop.cuh"
 #include "backend/cuda/team.cuh"
 #include "view/scene.h"
 
@@ -41,6 +42,7 @@ class Exchange {
       : cells_(reinterpret_cast<Cell*>(s.solve.product)),
         sums_(reinterpret_cast<Cell*>(s.solve.reduction)),
         tags_(s.solve.exchange_tags),
+        report_(s.solve.report),
         rows_(s.patches.row_count),
         patches_(s.patches.patch_count),
         patch_(patch),
@@ -62,6 +64,8 @@ class Exchange {
   /// The cell of a row in this exchange. The thread must know that it has been published.
   __device__ Cell row(std::uint32_t row) const { return load(row_cell(cells_, rows_, tag_, row)); }
 
+  /// Whether the solve must end (stop.cuh), in the patch that tells the others by its sums.
+  __device__ bool must_end(std::uint32_t iteration) const { return patch_ == 0 && is_end_asked(report_, iteration); }
   /// Publishes the three sums of the patch.
   __device__ void publish_sums(float x, float y, float z) const { store(sums_of(patch_), {x, y, z, tag_}); }
   /// Waits for the sums of the patches first, first + stride, .. as wait_for_rows does.
@@ -135,6 +139,7 @@ class Exchange {
   Cell* const cells_;
   Cell* const sums_;
   std::uint32_t* const tags_;
+  const view::SolveReport<float>* const report_;
   const std::uint32_t rows_, patches_, patch_;
   std::uint32_t tag_;
 };

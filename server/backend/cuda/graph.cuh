@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <ctime>
 #include <memory>
 
@@ -13,7 +14,7 @@
 ///   stages of a step ── record_graph, once ──> Graph ── launch, each step ──> Stream ── wait ──> results
 ///
 /// 1. A step launches one recorded graph instead of each kernel: the host does less for each step.
-/// 2. A thread that waits for its stream may sleep (wait_asleep), because many scenes share few processors.
+/// 2. A thread that waits for its stream may sleep (wait_and_look), because many scenes share few processors.
 namespace tensormass::backend::cuda {
 
 /// Ends a stream after its work has finished.
@@ -36,14 +37,22 @@ struct DestroyGraph {
 };
 using Graph = std::unique_ptr<CUgraphExec_st, DestroyGraph>;
 
-/// Waits until the work of a stream has finished, without occupying a processor: many scenes have more threads than a
-/// machine has processors. A blocking event would wake up late, and all scenes would meet at a lock of the driver.
-inline cudaError_t wait_asleep(cudaStream_t stream) {
+/// Waits until the work of a stream has finished. After `awake` it does not occupy a processor: many scenes have more
+/// threads than a machine has processors. A blocking event would wake up late, and all scenes would meet at a lock of
+/// the driver.
+///
+///   look()   called again and again meanwhile
+template <class Look>
+cudaError_t wait_and_look(cudaStream_t stream, std::chrono::microseconds awake, const Look& look) {
+  using Clock = std::chrono::steady_clock;
   constexpr long kSleepNs = 20'000;
   thread_local const bool precise = prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL) == 0;
   static_cast<void>(precise);
+  const Clock::time_point sleepy = Clock::now() + awake;
   for (;;) {
     if (const cudaError_t status = cudaStreamQuery(stream); status != cudaErrorNotReady) return status;
+    look();
+    if (awake.count() > 0 && Clock::now() < sleepy) continue;
     const timespec sleep{0, kSleepNs};
     nanosleep(&sleep, nullptr);
   }
@@ -70,7 +79,10 @@ Graph record_graph(cudaStream_t stream, const Enqueue& enqueue) {
   const cudaError_t status = cudaGraphInstantiate(&executable, graph, 0);
   cudaGraphDestroy(graph);
   check(status, "the step's graph");
-  return Graph(executable);
+  Graph made(executable);
+  // Takes its device memory now, so that a lack of it refuses the scene and does not stop its first step.
+  check(cudaGraphUpload(made.get(), stream), "the step's graph");
+  return made;
 }
 
 }  // namespace tensormass::backend::cuda

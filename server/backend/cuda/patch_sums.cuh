@@ -19,7 +19,9 @@ template <unsigned Threads>
 class PatchSums {
  public:
   /// Sums `own` over all threads of all patches. All threads must call it and then meet at a barrier.
-  __device__ void exchange(const Exchange& exchange, std::uint32_t patches, Exchange::Cell own) {
+  /// iteration: of the solve. If the host asks for its end (stop.cuh), the third sum is not a number.
+  __device__ void exchange(const Exchange& exchange, std::uint32_t patches, Exchange::Cell own,
+                           std::uint32_t iteration) {
     const unsigned lane = threadIdx.x % kWarp, warp = threadIdx.x / kWarp;
     own = Exchange::sum_lanes(own);
     if (lane == 0) warps_[warp] = own;
@@ -28,7 +30,10 @@ class PatchSums {
     constexpr unsigned kLanes = std::bit_ceil(kWarps);
     const Exchange::Cell mine =
         Exchange::sum_lanes<kLanes>(lane % kLanes < kWarps ? warps_[lane % kLanes] : Exchange::Cell{0, 0, 0, 0});
-    if (lane == 0) exchange.publish_sums(mine.x, mine.y, mine.z);
+    if (lane == 0) {
+      const bool ends = exchange.must_end(iteration);
+      exchange.publish_sums(mine.x, mine.y, ends ? std::numeric_limits<float>::quiet_NaN() : mine.z);
+    }
     Exchange::Cell sum{0, 0, 0, 0};
     constexpr std::uint32_t kAtOnce = 5;  // 160 patches: one a multiprocessor
     for (std::uint32_t first = lane; first < patches; first += kAtOnce * kWarp) {

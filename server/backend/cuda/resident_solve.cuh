@@ -332,7 +332,7 @@ __global__ void __launch_bounds__(Threads, 1)
       own_sums.y += along_last ? p[k].dot(r[k]) : q[k].dot(q[k]);
       own_sums.z += r[k].dot(r[k]);
     }
-    sums.exchange(exchange, s.patches.patch_count, own_sums);
+    sums.exchange(exchange, s.patches.patch_count, own_sums, recurrence.iterations());
     if (thread < kHaloThreads) {
       for (std::uint32_t h = thread; h < patch.halo_count; h += kHaloAtOnce * kHaloThreads) {
         Exchange::Cell cells[kHaloAtOnce];

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cstddef>
 #include <limits>
 #include <span>
@@ -19,6 +20,7 @@
 #include "backend/cuda/rows_memory.h"
 #include "backend/cuda/solve_plan.cuh"
 #include "backend/cuda/stage_kernels.h"
+#include "backend/cuda/stop.cuh"
 #include "backend/saved_state.h"
 #include "backend/step_inputs.h"
 #include "backend/step_reports.h"
@@ -50,6 +52,7 @@ class CudaState final : public SceneState {
         stages_(step::list_stages(model)),
         device_(device),
         shares_(shares),
+        takes_long_(may_take_long(model)),
         inputs_(StepInputs::bytes_of<physics::PlacedTool<Real>>(model.tools.size()) +
                     StepInputs::bytes_of<Real>(4 * model.prescribed.size()) +
                     StepInputs::bytes_of<view::StepControl<Real>>(1),
@@ -248,6 +251,8 @@ class CudaState final : public SceneState {
  private:
   /// Single precision has fused solves (step::Scope::kFusedOnDevice).
   static constexpr bool kSinglePrecision = std::is_same_v<Real, float>;
+  /// A wait for a solve that may take long spins for this time, as others do throughout.
+  static constexpr std::chrono::microseconds kAwake{1000};
 
   void launch_graph(const Graph& graph, const char* what) { check(cudaGraphLaunch(graph.get(), stream()), what); }
   void launch_frame() {
@@ -260,7 +265,20 @@ class CudaState final : public SceneState {
       check(cudaMemcpyAsync(to, from, count * sizeof(Real), cudaMemcpyDeviceToDevice, stream()), "copy");
     };
   }
-  void wait(const char* what) { check(shares_ ? wait_asleep(stream()) : cudaStreamSynchronize(stream()), what); }
+  void wait(const char* what) {
+    if (!shares_ && !takes_long_) return check(cudaStreamSynchronize(stream()), what);
+    const auto look = [this] {
+      if (stopped()) ask_for_end(*solve_.data());
+    };
+    check(wait_and_look(stream(), shares_ ? std::chrono::microseconds{0} : kAwake, look), what);
+  }
+  /// Whether a solve may take so long, on a slow device, that a caller of `stop` would have to wait for it.
+  static bool may_take_long(const model::Model& model) {
+    constexpr double kLongS = 0.25, kLatencyS = 3e-5, kBytesPerS = 2e11;
+    const double blocks = double{view::kSliceRows} * model.layout.slice_begin.back();
+    const double iteration_s = kLatencyS + 9 * sizeof(Real) * blocks / kBytesPerS;
+    return model.cg_max_iterations * iteration_s > kLongS;
+  }
   cudaStream_t stream() const { return stream_.get(); }
   /// Waits for copies from pageable memory and for clearing, which have a stream of their own. It does not wait for the
   /// whole device, which other scenes may never leave idle.
@@ -434,7 +452,7 @@ class CudaState final : public SceneState {
   const model::Model& model_;
   const std::vector<step::Stage> stages_;
   const cudaDeviceProp device_;
-  const bool shares_;
+  const bool shares_, takes_long_;
   DeviceArena arena_;
   StepInputs inputs_;
   const StepInputs::Item<physics::PlacedTool<Real>> tools_;

@@ -116,7 +116,7 @@ __global__ void __launch_bounds__(Threads, 1)
       __syncwarp();  // the next tile uses the same memory
     }
     if (along_last) own_sums.y = along_residual;
-    sums.exchange(exchange, s.patches.patch_count, own_sums);
+    sums.exchange(exchange, s.patches.patch_count, own_sums, recurrence.iterations());
     __syncthreads();
     const Exchange::Cell all = sums.total();
     if (!recurrence.take(all.x, all.y, all.z)) break;
