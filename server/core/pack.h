@@ -86,6 +86,14 @@ Pack<Real, Width> select_greater(Pack<Real, Width> a, Pack<Real, Width> b, Pack<
   return Pack<Real, Width>::of(a.v > b.v ? x.v : y.v);
 }
 
+template <class Real, int Width>
+bool all_greater(Pack<Real, Width> a, Pack<Real, Width> b) {
+  const auto greater = a.v > b.v;
+  auto all = greater[0];
+  for (int lane = 1; lane < Width; ++lane) all &= greater[lane];
+  return all != 0;
+}
+
 /// Applies a function to each lane, one after the other.
 ///
 ///   f(x)   is called with a lane's number; returns the lane's result

@@ -125,6 +125,12 @@ template <class Real>
 TM_HOST_DEVICE constexpr Real select_greater(Real a, Real b, Real x, Real y) {
   return a > b ? x : y;
 }
+/// Returns whether a > b, in every lane of a pack. Only for work that may be left out where it changes nothing: results
+/// must not depend on the neighbours in a pack.
+template <class Real>
+TM_HOST_DEVICE constexpr bool all_greater(Real a, Real b) {
+  return a > b;
+}
 template <class Real>
 TM_HOST_DEVICE Real square_root(Real a) {
   return std::sqrt(a);

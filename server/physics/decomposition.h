@@ -164,10 +164,27 @@ TM_HOST_DEVICE SignedSingularValues<T> signed_singular_values(const Mat3<T>& f) 
   return out;
 }
 
+/// Returns whether a symmetric matrix is positive definite by more than rounding errors, in every lane of a pack.
+///
+/// e1, e2, e3 are the sums of its principal minors of order 1, 2, 3. All eigenvalues are positive if and only if these
+/// three are. The smallest is at least e3 / e2, and e2 ≤ e1² / 3. Here e1 = 1, so it is above 3 kMargin, far above what
+/// eigenvalues lose to rounding.
+template <class T>
+TM_HOST_DEVICE bool is_positive_definite(const Mat3<T>& symmetric) {
+  constexpr double kMargin = 4e-6;  // for float
+  const T trace = symmetric.trace();
+  const Mat3<T> s = symmetric * (T(1) / trace);
+  const T x = s(1, 2), y = s(2, 0), z = s(0, 1);
+  const T xx = s(1, 1) * s(2, 2) - x * x, yy = s(0, 0) * s(2, 2) - y * y, zz = s(0, 0) * s(1, 1) - z * z;
+  const T e3 = s(0, 0) * xx + z * (x * y - z * s(2, 2)) + y * (z * x - s(1, 1) * y);
+  return all_greater(trace, T(0)) && all_greater(T(xx + yy + zz), T(kMargin)) && all_greater(e3, T(kMargin));
+}
+
 /// Returns the symmetric matrix with its eigenvalues replaced by their absolute values. The result equals the input
-/// bitwise if none is negative.
+/// bitwise if none is negative; rotations are left out where that is certain.
 template <class T>
 TM_HOST_DEVICE Mat3<T> with_absolute_eigenvalues(const Mat3<T>& symmetric) {
+  if (is_positive_definite(symmetric)) return symmetric;
   Mat3<T> a = symmetric, v = Mat3<T>::Identity();
   for (int sweep = 0; sweep < detail::kSweeps; ++sweep) {
     detail::diagonalize_plane<0, 1>(a, v);

@@ -105,6 +105,28 @@ TYPED_TEST(Decomposition, IdentityAndStretchAlongTheAxesAreExact) {
   }
 }
 
+/// Also for matrices that are shifted to be just singular.
+TYPED_TEST(Decomposition, WhatIsCalledPositiveDefiniteHasNoNegativeEigenvalue) {
+  using Real = TypeParam;
+  int positive = 0, found = 0;
+  for (const auto& f : this->matrices()) {
+    const Mat3<double> symmetric = (f + f.transpose()).template cast<double>();
+    const double least = Eigen::SelfAdjointEigenSolver<Mat3<double>>(symmetric).eigenvalues()[0];
+    for (const double shift : {0.0, -least * (1 - 1e-6), -least, -least * (1 + 1e-6), symmetric.norm() - least}) {
+      const Mat3<Real> shifted = (symmetric + shift * Mat3<double>::Identity()).template cast<Real>();
+      const double smallest =
+          Eigen::SelfAdjointEigenSolver<Mat3<double>>(shifted.template cast<double>()).eigenvalues()[0];
+      if (is_positive_definite(shifted)) {
+        ASSERT_GT(smallest, 4e-6 * shifted.template cast<double>().trace()) << shifted;
+        ++found;
+      }
+      positive += smallest > 0.01 * shifted.template cast<double>().trace();
+    }
+  }
+  EXPECT_GT(positive, 1000);
+  EXPECT_GT(found, positive);  // few are left to the rotations
+}
+
 TYPED_TEST(Decomposition, OnlyNegativeEigenvaluesChangeTheirSign) {
   using Real = TypeParam;
   int unchanged = 0;
