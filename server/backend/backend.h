@@ -105,6 +105,13 @@ struct StepHistory {
   double largest_force_squared = 0;           ///< see solver::newton_step
 };
 
+/// Where a blade point has cut up to at the end of a step (view::BladeReport).
+struct BladeFront {
+  Vec3<double> rest_m = Vec3<double>::Zero();
+  std::uint32_t element = view::kNoTetrahedron;  ///< of the scene; kNoTetrahedron: it cuts nothing
+  double dissipated_j = 0;                       ///< work of fracture in the step
+};
+
 /// A buffer that steps only read.
 struct ConstantBuffer {
   std::string_view name;
@@ -146,6 +153,9 @@ class SceneState {
   /// Copies which springs of attachments are broken, and by what. broken: [spring_count] view::LinksView::broken;
   /// written.
   virtual void read_broken(std::span<std::uint8_t> broken) = 0;
+  /// Copies what the last step reported of blade points. fronts: [points of all blades], written. No data leave the
+  /// device: the step has written them to the host.
+  virtual void read_blades(std::span<BladeFront> fronts) = 0;
   /// Measures the deformation of the elements at the present state. groups: [group_count], written.
   virtual void diagnose(std::span<GroupDiagnostics> groups) = 0;
   /// Copies the state to the host; slow.

@@ -21,7 +21,8 @@ std::size_t slip_reals(const view::ContactView<Real>& contact) {
 template <class Real>
 std::size_t slip_reals(const view::LinksView<Real>& links) {
   if (links.slips == nullptr) return 0;
-  return 4 * std::size_t{links.candidate_count} + view::kEdgeMemory * std::size_t{links.edges.slot_count()};
+  return 4 * std::size_t{links.candidate_count} + view::kEdgeMemory * std::size_t{links.edges.slot_count()} +
+         links.blades.reals();
 }
 
 /// Reads the state of all rows.

@@ -79,6 +79,19 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
   }
 }
 
+/// Implements SceneState::read_blades.
+template <class Real>
+void copy_blades(std::span<const view::BladeReport<Real>> from, std::span<BladeFront> to) {
+  TM_ASSERT(from.size() == to.size(), "a front for each blade point");
+  for (std::size_t i = 0; i < to.size(); ++i) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      to[i].rest_m[static_cast<Eigen::Index>(c)] = static_cast<double>(from[i].rest_m[c]);
+    }
+    to[i].element = from[i].tetrahedron;
+    to[i].dissipated_j = static_cast<double>(from[i].dissipated_j);
+  }
+}
+
 /// Implements SceneState::read_broken. from: LinksView::broken, on the host
 template <class Real>
 void copy_broken(std::span<const Real> from, std::span<std::uint8_t> to) {

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "contact/blades.h"
 #include "contact/body_contact.h"
 #include "contact/edge_contact.h"
 #include "contact/severing.h"
@@ -11,13 +12,15 @@
 ///
 ///   body_contact.h ──> a link for each node that touches a surface ──┐
 ///   edge_contact.h ──> a link for each two sharp edges that touch ───┤
-///   springs of attachments ──> a link each, until it breaks ─────────┴──> list of each row ──> assembly, A p
+///   springs of attachments ──> a link each, until it breaks ─────────┤
+///   blades.h ──> a pin for each blade point that holds tissue ───────┴──> list of each row ──> assembly, A p
 ///
 /// 1. A link has up to four rows: a node, and the corners of a triangle or another node; or the ends of two edges. What
 ///    a node or an edge touches changes from step to step, while the matrix has fixed edges. So only the diagonal
 ///    blocks of a link are added to the matrix. The solve multiplies by the other blocks link by link
 ///    (solver/link_product.h).
-/// 2. Forces on the rows of a link add up to zero, so contact and attachments keep the momentum of a scene.
+/// 2. Forces on the rows of a link add up to zero, so contact and attachments keep the momentum of a scene. Those of a
+///    pin add up to what the blade exerts.
 /// 3. Each row lists its links. The lists are made anew for each linearization, by all threads at once, and then
 /// sorted:
 ///    sums repeat bitwise.
@@ -74,8 +77,8 @@ TM_HOST_DEVICE view::Link<Real> link_of_spring(const view::StateView<Real>& stat
   return link;
 }
 
-/// Stage 2, find links: finds what each candidate and each sharp edge touches, and which springs are taut.
-/// Reads displacement, velocity, boxes, slips, broken; writes links, head, next.
+/// Stage 2, find links: finds what each candidate and each sharp edge touches, which springs are taut, and which blade
+/// points hold tissue. Reads displacement, velocity, boxes, slips, broken, tools; writes links, head, next, slips.
 template <class Team, class Real>
 TM_HOST_DEVICE void find_links(const Team& team, const view::StateView<Real>& state,
                                const view::ContactView<Real>& contact, const view::LinksView<Real>& links) {
@@ -90,6 +93,13 @@ TM_HOST_DEVICE void find_links(const Team& team, const view::StateView<Real>& st
   if (links.spring_count > 0) {
     team.for_each(links.patch_springs[team.patch()], links.patch_springs[team.patch() + 1],
                   [&](std::uint32_t i) { add(links.candidate_count + i, link_of_spring(state, links, i)); });
+  }
+  if (team.patch() == 0) {
+    team.for_each(0, links.blades.point_count, [&](std::uint32_t i) {
+      const view::Link<Real> link = link_of_pin(state, contact, links.blades, i);
+      links.links[links.first_pin() + i] = link;
+      list_link(team, links, links.first_pin() + i);
+    });
   }
   if (links.edges.candidate_count > 0) {
     team.for_each(links.edges.patch_candidates[team.patch()], links.edges.patch_candidates[team.patch() + 1],
@@ -145,8 +155,8 @@ TM_HOST_DEVICE void assemble_links(const Team& team, const view::StateView<Real>
 }
 
 /// Stage 4, measure links: after the solve, breaks springs that are pulled too hard or that a tool severs, takes the
-/// springs of friction to the end of the step, and reports. Reads links, displacement, velocity, tools; writes broken,
-/// slips, their checkpoints, reports.
+/// springs of friction and the anchors of blades to the end of the step, and reports. Reads links, displacement,
+/// velocity, tools; writes broken, slips, their checkpoints, reports, tool_loads of blades.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure_links(Team& team, const view::StateView<Real>& state,
                                   const view::ContactView<Real>& contact, const view::LinksView<Real>& links) {
@@ -193,6 +203,7 @@ TM_HOST_DEVICE void measure_links(Team& team, const view::StateView<Real>& state
       counts[1] += links.broken[i] != 0 ? Real(1) : Real(0);
     });
   }
+  measure_blades(team, state, contact, links);
   team.patch_reduce(deepest, counts);
   if (team.leads_patch()) links.reports[team.patch()] = {counts[0], deepest[0], counts[1], counts[2], counts[3]};
 }

@@ -121,8 +121,7 @@ TM_HOST_DEVICE void query_core(Kind, Team& team, const view::PatchesView& patche
   }
 }
 
-/// Stage 1, closest-point query: does this for the core points of all tools.
-/// Reads displacement, tools; writes closest.
+/// Stage 1, closest-point query: does this for the core points of all tools. Reads displacement, tools; writes closest.
 template <class Team, class Real>
 TM_HOST_DEVICE void query_closest(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                                   const view::ContactView<Real>& contact) {
@@ -412,7 +411,8 @@ TM_HOST_DEVICE void generate_contacts(const Team& team, const view::PatchesView&
   for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
     const physics::PlacedTool<Real> tool = contact.tools[t];
     physics::with_tool(tool.kind, [&](auto kind) {
-      generate_contacts_with<typename decltype(kind)::Type>(team, patches, state, contact, tool);
+      using Kind = typename decltype(kind)::Type;
+      if constexpr (Kind::kContactPoints > 0) generate_contacts_with<Kind>(team, patches, state, contact, tool);
     });
   }
 }
@@ -564,7 +564,7 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
   };
   team.for_each(contact.patch_triangles[team.patch()], contact.triangles_end[team.patch()],
                 [&](std::uint32_t triangle) {
-                  for (std::uint32_t i = 0; i < Kind::kContactPoints; ++i) add(triangle, i);
+                  for (std::uint32_t i = 0; i != Kind::kContactPoints; ++i) add(triangle, i);
                 });
   for (int c = 0; c < 3; ++c) {
     sums[c] = force[c];

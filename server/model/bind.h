@@ -47,6 +47,7 @@ struct StepExchange {
   Real* min_det_f;
   view::ToolLoad<Real>* tool_loads;
   view::LinkReport<Real>* link_reports;
+  view::BladeReport<Real>* blade_reports;
   view::BalanceReport<Real>* balance_reports;
 };
 
@@ -82,6 +83,7 @@ StepExchange<Real> make_exchange(const Model& m, Arena& arena) {
   e.min_det_f = arena.template zeros<Real>("volume check", m.checks_volume() ? groups * patches : 0);
   e.tool_loads = arena.template zeros<view::ToolLoad<Real>>("tool loads", tools * patches);
   e.link_reports = arena.template zeros<view::LinkReport<Real>>("link reports", m.links.count() > 0 ? patches : 0);
+  e.blade_reports = arena.template zeros<view::BladeReport<Real>>("fronts of cuts", m.links.blades.point_count());
   e.balance_reports = arena.template zeros<view::BalanceReport<Real>>("balance reports", m.free_bodies.count());
   return e;
 }
@@ -119,6 +121,7 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.guard.min_det_f = exchange.min_det_f;
   s.contact.tool_loads = exchange.tool_loads;
   s.links.reports = exchange.link_reports;
+  s.links.blades.reports = exchange.blade_reports;
   s.balance.reports = exchange.balance_reports;
   s.solve.cg_tolerance = static_cast<Real>(m.cg_tolerance);
   s.state.size_m = static_cast<Real>(m.size_m);
@@ -241,7 +244,12 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.links.side_groups = arena.template constant<uint32_t>("boxes of bodies", links.side_groups);
   s.links.side_numbers = arena.template constant<Real>("contacts of bodies", links.side_numbers);
   const std::size_t edge_slots = links.edge_slot_count(), edges_from = 4 * std::size_t{links.candidate_count()};
-  const std::size_t link_slips = only_if(links.contacts_remember(), edges_from + view::kEdgeMemory * edge_slots);
+  view::BladesView<Real>& blades = s.links.blades;
+  blades.blade_count = links.blades.count();
+  blades.point_count = links.blades.point_count();
+  blades.patch_count = layout.patch_count;
+  const std::size_t blades_from = edges_from + view::kEdgeMemory * edge_slots;
+  const std::size_t link_slips = blades_from + blades.reals();
   s.links.slips = arena.template zeros<Real>("friction slips of bodies", link_slips);
   s.links.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips of bodies", link_slips);
   s.links.edges.candidate_count = links.edge_candidate_count();
@@ -255,6 +263,17 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   if (edge_slots > 0) {
     s.links.edges.memory = s.links.slips + edges_from;
     s.links.edges.checkpoint_memory = s.links.checkpoint_slips + edges_from;
+  }
+  blades.tools = arena.template constant<uint32_t>("blades", links.blades.tools);
+  blades.first_points = arena.template constant<uint32_t>("points of blades", links.blades.first_points);
+  blades.rows = arena.template constant<uint32_t>("tetrahedra", links.blades.rows);
+  blades.neighbours = arena.template constant<uint32_t>("neighbours of tetrahedra", links.blades.neighbours);
+  blades.toughness = arena.template constant<Real>("toughness of tetrahedra", links.blades.toughness);
+  blades.patch_tetrahedra = arena.template constant<uint32_t>("tetrahedra of patches", links.blades.patch_tetrahedra);
+  blades.tetrahedra = arena.template constant<uint32_t>("tetrahedra by patch", links.blades.tetrahedra);
+  if (blades.point_count > 0) {
+    blades.memory = s.links.slips + blades_from;
+    blades.checkpoint_memory = s.links.checkpoint_slips + blades_from;
   }
   s.links.patch_springs = arena.template constant<uint32_t>("springs of patches", links.patch_springs);
   s.links.spring_rows = arena.template constant<uint32_t>("springs", links.spring_rows);

@@ -154,6 +154,8 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   BodyBoundaries boundaries(bodies.bodies);
   TM_ASSIGN_OR_RETURN(tools, read_tools(scene, bodies.merged.nodes, model.dt_s));
   TM_ASSIGN_OR_RETURN(links, read_links(scene, bodies, boundaries));
+  TM_ASSIGN_OR_RETURN(blades, find_blades(scene, bodies, tools.tools));
+  links.blades = std::move(blades);
   TM_ASSIGN_OR_RETURN(accepted, read_accepted(scene, bodies.bodies, tools.tools));
   TM_ASSIGN_OR_RETURN(damping, read_damping(scene));
   for (const ReadBody& body : bodies.bodies) model.bodies.push_back({body, {}, {}, 0});
@@ -188,7 +190,11 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
     for (std::size_t b = 0; b < moduli.size(); ++b) static_cast<SurfaceModuli&>(model.bodies[b]) = moduli[b];
   }
   if (!links.empty()) {
-    model.links = make_links({.bodies = bodies, .links = links, .layout = model.layout, .contact = model.contact});
+    model.links = make_links({.bodies = bodies,
+                              .links = links,
+                              .layout = model.layout,
+                              .contact = model.contact,
+                              .tools = model.tools});
   }
   const bool may_touch = !model.tools.empty() || !links.empty();
   if (may_touch && !model.iterates() && !model.quasi_static()) {  // else no step balances momentum

@@ -108,9 +108,16 @@ struct LinkInput {
   const ReadLinks& links;
   const matrix::Layout& layout;
   const ContactSurface& contact;  ///< empty if bodies do not touch
+  std::span<const ToolModel> tools;
 };
-/// Makes the links of contacts between bodies and of attachments.
+/// Makes the links of contacts between bodies, of attachments and of blades.
 Links make_links(const LinkInput& input);
+
+/// Returns the places of tools that are blades. Fails if the scene cannot be cut by them.
+Result<std::vector<std::uint32_t>> find_blades(const v1::Scene& scene, const ReadBodies& bodies,
+                                               std::span<const ToolModel> tools);
+/// Makes the points of blades, and the tetrahedra that they may hold.
+Blades make_blades(const LinkInput& input);
 
 struct FreeBodyInput {
   const ReadBodies& bodies;

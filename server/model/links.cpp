@@ -35,6 +35,7 @@ class LinkMaker {
       store_edges();
     }
     store_springs();
+    if (!in_.links.blades.empty()) out_.blades = make_blades(in_);
     store_rows();
     return std::move(out_);
   }
@@ -273,6 +274,7 @@ class LinkMaker {
       }
     }
     for (const std::uint32_t row : out_.spring_rows) linked[row] = true;
+    for (const std::uint32_t row : out_.blades.rows) linked[row] = true;
     out_.patch_rows.assign(layout_.patch_count + 1, 0);
     out_.row_place.resize(layout_.row_count);
     for (std::uint32_t row = 0; row < layout_.row_count; ++row) {

@@ -149,7 +149,22 @@ struct ContactSurface {
   std::uint32_t triangle_count() const { return static_cast<std::uint32_t>(triangle_area.size()); }
 };
 
-/// Contact between bodies, and attachments (view/links.h). Entries are grouped by patch.
+/// Blades, and the tetrahedra that they cut (view/blades.h).
+struct Blades {
+  std::vector<std::uint32_t> tools;             ///< [blade] places in Model::tools
+  std::vector<std::uint32_t> first_points;      ///< [blade + 1]
+  std::vector<std::uint32_t> rows;              ///< [element, 4]
+  std::vector<std::uint32_t> neighbours;        ///< [element, 4]
+  std::vector<double> toughness;                ///< [element] J/m²
+  std::vector<std::uint32_t> patch_tetrahedra;  ///< [patch_count + 1]
+  std::vector<std::uint32_t> tetrahedra;        ///< [element]
+
+  std::uint32_t count() const { return static_cast<std::uint32_t>(tools.size()); }
+  std::uint32_t point_count() const { return first_points.empty() ? 0 : first_points.back(); }
+  std::uint32_t tetrahedron_count() const { return static_cast<std::uint32_t>(toughness.size()); }
+};
+
+/// Contact between bodies, attachments and blades (view/links.h). Entries are grouped by patch.
 struct Links {
   std::vector<std::uint32_t> patch_rows;        ///< [patch_count + 1] into rows
   std::vector<std::uint32_t> rows;              ///< rows that a link may have, ascending
@@ -172,12 +187,13 @@ struct Links {
   std::vector<std::uint32_t> triangle_edges;         ///< [triangle_count, 3]
   std::vector<std::uint32_t> patch_edge_candidates;  ///< [patch_count + 1]
   std::vector<std::uint32_t> edge_candidates;        ///< [edge_candidate_count, 2]
+  Blades blades;
 
   std::uint32_t candidate_count() const { return static_cast<std::uint32_t>(candidate_area.size()); }
   std::uint32_t spring_count() const { return static_cast<std::uint32_t>(spring_rows.size() / 2); }
   std::uint32_t edge_candidate_count() const { return static_cast<std::uint32_t>(edge_candidates.size() / 2); }
   std::uint32_t edge_slot_count() const { return edge_candidate_count() * view::kEdgeSlots; }
-  std::uint32_t count() const { return candidate_count() + spring_count() + edge_slot_count(); }
+  std::uint32_t count() const { return candidate_count() + spring_count() + edge_slot_count() + blades.point_count(); }
   std::uint32_t leaf_count() const { return static_cast<std::uint32_t>(leaf_triangles.size() / view::kLeafTriangles); }
   /// Returns whether contacts remember something from step to step (view::LinksView::slips): the force with which a
   /// node pushed, friction, on which side of its own body's surface a node is, or which edges touch.
@@ -231,7 +247,8 @@ struct AdmittedBody {
   std::uint32_t element_begin = 0, element_count = 0;  ///< range in the scene's elements
   std::uint32_t component_count = 0;
   double volume_m3 = 0, mass_kg = 0, min_dihedral_angle_deg = 0;
-  double ablation_j_per_m3 = 0;  ///< energy that takes the material out of a volume
+  double ablation_j_per_m3 = 0;            ///< energy that takes the material out of a volume
+  double fracture_toughness_j_per_m2 = 0;  ///< work that cuts an area
   bool has_color = false;
   Vec3<double> color_srgb = Vec3<double>::Zero();
 
@@ -384,7 +401,7 @@ struct Model : Settings {
   PressureSurface pressure;
   ScheduledLoads scheduled;
   ContactSurface contact;                      ///< empty: neither tools nor contact between bodies
-  Links links;                                 ///< empty: neither contact between bodies nor attachments
+  Links links;                                 ///< empty: neither contact between bodies nor attachments nor blades
   FreeBodies free_bodies;                      ///< empty: no step balances momentum
   VisibleSurface visible;                      ///< empty: no frames
   std::vector<VisibleAttachment> attachments;  ///< empty: no frames, or no attachments

@@ -19,6 +19,8 @@ namespace {
 
 /// From 37 to 100 °C soft tissue takes 0.24 J/mm³, and the 70 % of it that are water 1.6 J/mm³ to boil off.
 constexpr double kDefaultAblationJPerM3 = 2e9;
+/// Liver under a blade, 187 to 225 J/m² (docs/choosing.md).
+constexpr double kDefaultToughnessJPerM2 = 200;
 
 /// Refuses lists that are longer than the limits of the server.
 Result<void> check_counts(const v1::Body& body, std::string_view where) {
@@ -135,10 +137,14 @@ Result<void> read_body(const v1::Scene& scene, const Progress& progress, ReadBod
   TM_ASSIGN_OR_RETURN(density, read_number(body.density_kg_per_m3(), 1e-3, 1e6, where + ".density_kg_per_m3"));
   const double ablation = body.has_ablation_j_per_m3() ? body.ablation_j_per_m3() : kDefaultAblationJPerM3;
   TM_ASSIGN_OR_RETURN(ablation_j_per_m3, read_number(ablation, 1e3, 1e12, where + ".ablation_j_per_m3"));
+  const double toughness =
+      body.has_fracture_toughness_j_per_m2() ? body.fracture_toughness_j_per_m2() : kDefaultToughnessJPerM2;
+  TM_ASSIGN_OR_RETURN(toughness_j_per_m2, read_number(toughness, 1e-2, 1e6, where + ".fracture_toughness_j_per_m2"));
 
   ReadBody out;
   out.name = body.name();
   out.ablation_j_per_m3 = ablation_j_per_m3;
+  out.fracture_toughness_j_per_m2 = toughness_j_per_m2;
   out.node_count = out.loaded_node_count = report.node_count;
   out.element_count = out.loaded_element_count = report.element_count;
   out.component_count = report.component_count;

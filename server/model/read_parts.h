@@ -92,12 +92,13 @@ struct ReadAttachment {
   double stiffness_n_per_m, breaking_force_n;         ///< one spring's
 };
 
-/// What couples bodies of a scene to each other.
+/// What couples rows that share no element.
 struct ReadLinks {
   std::vector<BodyContactModel> contacts;
   std::vector<ReadAttachment> attachments;
+  std::vector<std::uint32_t> blades;  ///< places of the tools that are blades
 
-  bool empty() const { return contacts.empty() && attachments.empty(); }
+  bool empty() const { return contacts.empty() && attachments.empty() && blades.empty(); }
 };
 
 /// Rayleigh damping of a body.

@@ -136,6 +136,7 @@ Result<void> read_shape(const Message& kind, std::string_view owner, std::span<c
     if constexpr (std::is_same_v<Kind, physics::BoxSolid>) {
       out.width_m = middle_of({out.parameters[0], out.parameters[1], out.parameters[2]});
     }
+    if constexpr (std::is_same_v<Kind, physics::Scalpel>) out.width_m = std::numeric_limits<double>::infinity();
     if (!(out.radius_m > 0)) out.radius_m = kPlaneRadiusInScenes * size_of(nodes);
   } else {
     TM_ASSIGN_OR_RETURN(radius, read_field(kind, "radius_m", 1e-6, 1e3, where));
@@ -146,6 +147,7 @@ Result<void> read_shape(const Message& kind, std::string_view owner, std::span<c
   TM_ASSIGN_OR_RETURN(
       tip, read_vector(dynamic_cast<const v1::Vector3&>(tip_message), fmt::format("{}.tip_offset_m", where)));
   out.tip_offset_m = tip;
+  if constexpr (Kind::kContactPoints == 0) return {};
   constexpr std::string_view kPenalty = "penalty_stiffness_pa_per_m";
   if (!kind.GetReflection()->HasField(kind, &field_of(kind, kPenalty))) {
     out.penalty_per_m = kDefaultToolPenalty / out.radius_m;
@@ -253,7 +255,8 @@ Result<ToolModel> read_tool(const v1::Tool& tool, std::span<const Eigen::Vector3
   });
   if (!shape) return invalid(fmt::format("{}: no kind that this server knows; give one of {}", where, known));
   TM_RETURN_IF_ERROR(*shape);
-  const double safe_speed = std::min(kDefaultMaxSpeedMPerS, kMaxRadiiPerStep * out.radius_m / dt_s);
+  const double half_radius = out.contact_points == 0 ? kDefaultMaxSpeedMPerS : kMaxRadiiPerStep * out.radius_m / dt_s;
+  const double safe_speed = std::min(kDefaultMaxSpeedMPerS, half_radius);  // anchors of a blade follow any way
   TM_ASSIGN_OR_RETURN(speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : safe_speed, 1e-6,
                                          1e3, where + ".max_speed_m_per_s"));
   out.max_speed_m_per_s = speed;

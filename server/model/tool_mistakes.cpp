@@ -283,7 +283,9 @@ std::vector<Finding> find_mistakes_of_tools(const ToolMistakeInput& input) {
   std::vector<Finding> findings;
   if (input.tools.empty()) return findings;
   const StartSurface surface(input);
-  for (const ToolModel& tool : input.tools) find_tool_inside(input, surface, tool, findings);
+  for (const ToolModel& tool : input.tools) {
+    if (tool.contact_points > 0) find_tool_inside(input, surface, tool, findings);  // a blade may begin inside
+  }
   find_coarse_surfaces(input, surface, findings);
   find_passed_tools(input, surface, findings);
   return findings;

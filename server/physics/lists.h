@@ -25,6 +25,7 @@
 #include "physics/tool/mesh_solid.h"
 #include "physics/tool/plane.h"
 #include "physics/tool/retractor.h"
+#include "physics/tool/scalpel.h"
 #include "physics/tool/spherical_probe.h"
 #include "physics/tool/tool.h"
 
@@ -47,13 +48,14 @@ using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, Stable
 /// All kinds of tools. Their indices are internal; the protocol uses names.
 using ThinTools = TypeList<SphericalProbe, Capsule, Retractor, Grasper>;
 using SolidTools = TypeList<BoxSolid, Plane, MeshSolid>;
+using Blades = TypeList<Scalpel>;
 
 namespace detail {
 template <class... First, class... Second>
 TypeList<First..., Second...> joined(TypeList<First...>, TypeList<Second...>);
 }  // namespace detail
 
-using Tools = decltype(detail::joined(ThinTools{}, SolidTools{}));
+using Tools = decltype(detail::joined(detail::joined(ThinTools{}, SolidTools{}), Blades{}));
 
 namespace detail {
 template <class... Types>

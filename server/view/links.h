@@ -3,10 +3,11 @@
 #include <cstdint>
 
 #include "core/scalar.h"
+#include "view/blades.h"
 
 /// Links: springs between a node and a point of a triangle, or another node, or between points of two edges. Contact
-/// between bodies and attachments are made of links (contact/links.h). In a scene without them all pointers are nullptr
-/// and all counts zero.
+/// between bodies and attachments are made of links (contact/links.h), and so are the pins by which blade points hold
+/// tissue (contact/blades.h). In a scene without them all pointers are nullptr and all counts zero.
 namespace tensormass::view {
 
 inline constexpr std::uint32_t kNoEntry = 0xFFFFFFFFu;
@@ -22,7 +23,8 @@ template <class Real>
 struct Link {
   // The node, then the corners of the triangle, or the other node. Of two edges: the ends of each.
   std::uint32_t rows[4];
-  Real weight[4];  // 1, then minus the barycentric coordinates: they add up to zero. Zero: no such corner
+  Real weight[4];  // 1, then minus the barycentric coordinates: they add up to zero. Zero: no such corner. Of a pin:
+                   // barycentric coordinates in a tetrahedron, which add up to 1
   Real normal[3];  // n
   Real force[3];   // [N]
   Real stiffness;  // [N/m]; zero: the link does nothing in this step
@@ -128,7 +130,7 @@ struct LinksView {
   const Real* side_numbers;               // [side, kSideNumbers]
   Real* slips;  // [candidate_count, 4] stretch of the spring of friction [m]; 4th: normal force [N], or where the node
                 // was (contact::NodeSide). At the end of the last step. Then what pairs of edges remember
-                // (EdgesView::memory)
+                // (EdgesView::memory), and what blade points do (BladesView::memory)
   Real* checkpoint_slips;
 
   // Springs, grouped by the patch of their first row.
@@ -140,15 +142,17 @@ struct LinksView {
 
   EdgesView<Real> edges;
 
-  // The links of this step: those of the candidates, then the springs, then the slots of edges.
+  // The links of this step: those of the candidates, the springs, the slots of edges, and the pins of blade points.
   Link<Real>* links;    // [count()]
   std::uint32_t* head;  // [row_count] first entry of a row, or kNoEntry. Entry 4 t + r is row r of link t
   std::uint32_t* next;  // [4 count()] next entry of the same row, or kNoEntry
 
   LinkReport<Real>* reports;  // [patch_count]
+  BladesView<Real> blades;
 
   TM_HOST_DEVICE std::uint32_t first_edge_link() const { return candidate_count + spring_count; }
-  TM_HOST_DEVICE std::uint32_t count() const { return first_edge_link() + edges.slot_count(); }
+  TM_HOST_DEVICE std::uint32_t first_pin() const { return first_edge_link() + edges.slot_count(); }
+  TM_HOST_DEVICE std::uint32_t count() const { return first_pin() + blades.point_count; }
 };
 
 }  // namespace tensormass::view

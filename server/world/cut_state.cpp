@@ -126,6 +126,37 @@ std::vector<double> of_triangles(const Model& before, const NodeState& state, co
   return out;
 }
 
+/// Finds for an anchor the part of its element that has the corner next to it. weights: in the element
+std::uint32_t part_with(const Model& before, const Model& after, const Ancestors& ancestors, std::uint32_t element,
+                        const double* weights) {
+  const auto corner = static_cast<std::size_t>(std::max_element(weights, weights + 4) - weights);
+  const std::uint32_t node = before.layout.node_of_row[before.links.blades.rows[4 * std::size_t{element} + corner]];
+  std::uint32_t out = mesh::kNone;
+  for (std::uint32_t e = 0; e < ancestors.elements.size(); ++e) {
+    if (ancestors.elements[e] != element) continue;
+    if (out == mesh::kNone) out = e;  // it comes before its copies
+    const std::uint32_t own = after.layout.node_of_row[after.links.blades.rows[4 * std::size_t{e} + corner]];
+    const std::size_t body = after.body_of_node(own);
+    const bool is_new = own - after.bodies[body].node_begin >= before.bodies[body].node_count;
+    if (!is_new && ancestors.nodes[own] == node) return e;
+  }
+  return out;
+}
+
+std::vector<double> of_blade_points(const Model& before, const NodeState& state, const Model& after,
+                                    const Ancestors& ancestors) {
+  std::vector<double> out = state.blade_points;
+  for (std::size_t point = 0; point < out.size(); point += kBladeReals) {
+    double* const memory = out.data() + point;
+    for (const std::size_t which : {std::size_t{view::kBladeTetrahedron}, std::size_t{view::kBladeMemory}}) {
+      if (!(memory[which] > 0)) continue;
+      const auto element = static_cast<std::uint32_t>(memory[which]) - 1;
+      memory[which] = part_with(before, after, ancestors, element, memory + view::kBladeWeights) + 1;
+    }
+  }
+  return out;
+}
+
 }  // namespace
 
 Result<NodeState> cut_state(const Model& before, const NodeState& state, const Model& after) {
@@ -148,6 +179,7 @@ Result<NodeState> cut_state(const Model& before, const NodeState& state, const M
   }
   out.internal_variables = of_elements(before, state, after, ancestors.elements);
   out.slips = of_triangles(before, state, after);
+  out.blade_points = of_blade_points(before, state, after, ancestors);
   return out;
 }
 

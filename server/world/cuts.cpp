@@ -37,6 +37,11 @@ class LoadedBodies {
     }
     return BodyCut::make(bodies_->bodies[body]);
   }
+  /// Returns a body with its present cuts, to be cut further.
+  Result<std::unique_ptr<BodyCut>> to_be_cut(std::size_t body, const SceneCuts& present) {
+    if (present[body] == nullptr) return whole(body);
+    return present[body]->copy();
+  }
 
  private:
   const v1::Scene& loaded_;
@@ -141,6 +146,40 @@ Result<std::shared_ptr<const BodyCut>> read_body(const v1::MeshCuts& message, st
   return std::shared_ptr<const BodyCut>(std::move(out));
 }
 
+/// The edges of a body that blades cross and that are whole, each once.
+class CrossedEdges {
+ public:
+  explicit CrossedEdges(const BodyCut& body)
+      : body_(body), search_(body.topology()), room_(body.topology().edge_count()), met_(room_.size(), false) {}
+
+  Result<void> add(const std::vector<Eigen::Vector3d>& before, const std::vector<Eigen::Vector3d>& after,
+                   std::string_view where) {
+    const mesh::Sweep sweep = search_.sweep(before, after, room_);
+    if (sweep.refused) return invalid(fmt::format("{}: {}", where, words(sweep.refusal)));
+    for (const mesh::CutEdge& edge : sweep.edges) {
+      if (met_[edge.edge] || body_.cut().is_cut(edge.edge)) continue;
+      met_[edge.edge] = true;
+      edges_.push_back(edge);
+    }
+    return {};
+  }
+  const std::vector<mesh::CutEdge>& edges() const { return edges_; }
+  Result<std::vector<mesh::CutEdge>> take(std::string_view where) {
+    if (edges_.size() > limits::kMaxEdgesOfCut) {
+      return fail(ErrorCode::kResourceExhausted,
+                  fmt::format("{}: it crosses {} edges, more than limits::kMaxEdgesOfCut = {}; make several cuts",
+                              where, edges_.size(), limits::kMaxEdgesOfCut));
+    }
+    return std::move(edges_);
+  }
+
+ private:
+  const BodyCut& body_;
+  mesh::CutSearch search_;
+  std::vector<mesh::CutEdge> room_, edges_;
+  std::vector<bool> met_;
+};
+
 /// Returns the edges that a blade crosses on its way, each once.
 Result<std::vector<mesh::CutEdge>> crossed_edges(const BodyCut& body, const v1::Cut& cut, std::string_view where) {
   const auto positions = static_cast<std::size_t>(cut.blade_size());
@@ -168,30 +207,17 @@ Result<std::vector<mesh::CutEdge>> crossed_edges(const BodyCut& body, const v1::
       at.emplace_back(numbers[first], numbers[first + 1], numbers[first + 2]);
     }
   }
-  mesh::CutSearch search(body.topology());
-  std::vector<mesh::CutEdge> room(body.topology().edge_count()), out;
-  std::vector<bool> met(room.size(), false);
+  CrossedEdges crossed(body);
   for (std::size_t i = 1; i < blade.size(); ++i) {
-    const mesh::Sweep sweep = search.sweep(blade[i - 1], blade[i], room);
-    if (sweep.refused) return invalid(fmt::format("{}.blade[{}]: {}", where, i, words(sweep.refusal)));
-    for (const mesh::CutEdge& edge : sweep.edges) {
-      if (met[edge.edge] || body.cut().is_cut(edge.edge)) continue;
-      met[edge.edge] = true;
-      out.push_back(edge);
-    }
+    TM_RETURN_IF_ERROR(crossed.add(blade[i - 1], blade[i], fmt::format("{}.blade[{}]", where, i)));
   }
-  if (out.empty()) {
+  if (crossed.edges().empty()) {
     return invalid(
         fmt::format("{}.blade: it crosses no edge of body '{}' that is whole; give its positions where the "
                     "body's mesh is at rest",
                     where, cut.body()));
   }
-  if (out.size() > limits::kMaxEdgesOfCut) {
-    return fail(ErrorCode::kResourceExhausted, fmt::format("{}.blade: it crosses {} edges, more than "
-                                                           "limits::kMaxEdgesOfCut = {}; make several cuts",
-                                                           where, out.size(), limits::kMaxEdgesOfCut));
-  }
-  return out;
+  return crossed.take(fmt::format("{}.blade", where));
 }
 
 template <class T>
@@ -278,13 +304,7 @@ Result<SceneCuts> cut_edges(const v1::Scene& loaded, const v1::SceneEdit& edit, 
                               list_names(loaded.bodies(), [](const v1::Body& body) { return body.name(); })));
     }
     const auto b = static_cast<std::size_t>(found - loaded.bodies().begin());
-    std::unique_ptr<BodyCut> body;
-    if (out[b] == nullptr) {
-      TM_ASSIGN_OR_RETURN(whole, bodies.whole(b));
-      body = std::move(whole);
-    } else {
-      body = out[b]->copy();
-    }
+    TM_ASSIGN_OR_RETURN(body, bodies.to_be_cut(b, out));
     TM_ASSIGN_OR_RETURN(edges, crossed_edges(*body, cut, where));
     if (auto made = body->make_cut(next_order(out), std::move(edges)); !made) {
       return fail(made.error().code, fmt::format("{}: {}", where, made.error().message));
@@ -292,6 +312,32 @@ Result<SceneCuts> cut_edges(const v1::Scene& loaded, const v1::SceneEdit& edit, 
     out[b] = std::move(body);
   }
   return out;
+}
+
+Result<SceneCuts> cut_along(const v1::Scene& loaded, std::span<const SweptWay> ways, const SceneCuts& present) {
+  SceneCuts out = present;
+  out.resize(static_cast<std::size_t>(loaded.bodies_size()));
+  LoadedBodies bodies(loaded);
+  bool any = false;
+  for (std::size_t b = 0; b < out.size(); ++b) {
+    if (std::none_of(ways.begin(), ways.end(), [&](const SweptWay& way) { return way.body == b; })) continue;
+    const std::string where = fmt::format("body '{}'", loaded.bodies(static_cast<int>(b)).name());
+    TM_ASSIGN_OR_RETURN(body, bodies.to_be_cut(b, out));
+    CrossedEdges crossed(*body);
+    for (const SweptWay& way : ways) {
+      for (std::size_t i = 1; way.body == b && i < way.positions_m.size(); ++i) {
+        TM_RETURN_IF_ERROR(crossed.add(way.positions_m[i - 1], way.positions_m[i], where));
+      }
+    }
+    if (crossed.edges().empty()) continue;
+    TM_ASSIGN_OR_RETURN(edges, crossed.take(where));
+    if (auto made = body->make_cut(next_order(out), std::move(edges)); !made) {
+      return fail(made.error().code, fmt::format("{}: {}", where, made.error().message));
+    }
+    out[b] = std::move(body);
+    any = true;
+  }
+  return any ? std::move(out) : SceneCuts(present);
 }
 
 double area_of(const SceneCuts& cuts) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <span>
 
 #include "core/result.h"
 #include "model/cut_bodies.h"
@@ -9,12 +10,13 @@
 #include "tensormass/v1/edit.pb.h"
 #include "tensormass/v1/scene.pb.h"
 #include "world/surface_changes.h"
+#include "world/sweeps.h"
 
 /// Cuts of a scene that steps. They are values of it, as stiffness is: a scene that is cut is the loaded scene,
 /// compiled again with its bodies cut apart, and takes the place of the present one between two steps (Loop::do_swap).
 ///
 ///   EditScene ──blade──> cut_edges ──────┐
-///                                        ├──> SceneCuts ──compile──> World, with cut_state of the present one
+///   a tool ──BladeSweeps──> cut_along ───┼──> SceneCuts ──compile──> World, with cut_state of the present one
 ///   a recording, AdjustScene ──read_cuts─┘
 namespace tensormass::world {
 
@@ -28,6 +30,10 @@ void write_cuts(const model::SceneCuts& cuts, v1::SceneAdjustments& adjustments)
 /// Returns the present cuts and those of an edit. Fails if a body or a blade is not as edit.proto says, or crosses no
 /// edge of the mesh.
 Result<model::SceneCuts> cut_edges(const v1::Scene& loaded, const v1::SceneEdit& edit, const model::SceneCuts& present);
+
+/// Returns the present cuts and those of the ways of blades, one for each body; the present ones if no edge is crossed.
+Result<model::SceneCuts> cut_along(const v1::Scene& loaded, std::span<const SweptWay> ways,
+                                   const model::SceneCuts& present);
 
 /// Sum over all bodies [m²].
 double area_of(const model::SceneCuts& cuts);

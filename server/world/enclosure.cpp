@@ -89,7 +89,8 @@ Enclosure::Core Enclosure::core_of(const model::ToolModel& tool, const physics::
   physics::with_tool(tool.kind, [&](auto kind) {
     using Kind = typename decltype(kind)::Type;
     if constexpr (Kind::kIsSolid) {
-      if (tool.reach_m > 0) core.points[core.count++] = shape.position_m;
+      // A plane has no place, and a blade belongs inside.
+      if (tool.reach_m > 0 && Kind::kContactPoints > 0) core.points[core.count++] = shape.position_m;
     } else {
       for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) core.points[core.count++] = Kind::core_point(placed, i);
     }

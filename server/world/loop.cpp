@@ -223,6 +223,7 @@ bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
     return false;
   }
   status_.take_step(*world_);
+  if (runs() && world_->sweeps().has_news()) tell_of_sweep();
   outputs_.note_guard();
   take_edits();
   tell_what_broke();

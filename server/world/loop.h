@@ -105,6 +105,13 @@ class Loop {
     world_->stop();
   }
   bool cancelled() const { return cancelled_.load(std::memory_order_relaxed); }
+  /// Waits until blades of a scene that runs by the clock have swept something since `seen`, a count that this returns,
+  /// or until `stop_waiting`. The loop itself waits for nobody.
+  std::uint32_t wait_for_sweep(std::uint32_t seen) const {
+    swept_.wait(seen);
+    return swept_.load();
+  }
+  void stop_waiting() { tell_of_sweep(); }
 
   // -- the publisher's thread -----------------------------------------------------------------------------------------
 
@@ -164,6 +171,8 @@ class Loop {
   /// Puts another world of the scene in place of the present one, whose state it takes. On success `swap.world` is the
   /// world before, which may take long to end. On failure the scene is unchanged. Clears a fault of the guard.
   Result<void> do_swap(Swap& swap);
+  /// Takes what blades have swept since the last call.
+  Result<std::vector<SweptWay>> do_take_ways();
 
  private:
   using State = LoopStatus::State;
@@ -209,6 +218,11 @@ class Loop {
   tl::unexpected<Error> lockstep_error(std::string_view what) const;
   Clock::duration lockstep_frame_interval() const;
 
+  void tell_of_sweep() {
+    swept_.fetch_add(1);
+    swept_.notify_all();
+  }
+
   const model::Model& model() const { return world_->model(); }
 
   std::unique_ptr<World> world_;  // the loop's own; replaced with `cancelling_`, which `cancel` takes to read it
@@ -229,7 +243,8 @@ class Loop {
   std::mutex cancelling_;
   std::atomic<bool> cancelled_{false};
   std::atomic<Clock::rep> due_by_{kNotDue};
-  std::atomic<bool> listens_{false};  // the loop waits for a pose: wake it
+  std::atomic<std::uint32_t> swept_{0};  // counts steps in which blades swept something
+  std::atomic<bool> listens_{false};     // the loop waits for a pose: wake it
 
   // The loop's own.
   StepClock clock_;

@@ -113,6 +113,7 @@ Result<void> Loop::do_swap(Swap& swap) {
           saved.tissue = std::move(tissue);
         }
         next->take_over(saved);
+        next->sweeps().go_on_with(world_->sweeps());
       }
     } catch (const std::bad_alloc&) {
       throw;
@@ -147,6 +148,16 @@ Result<void> Loop::do_swap(Swap& swap) {
   status_.take_stamp(outputs_.stamp());
   outputs_.publish(true);
   return {};
+}
+
+Result<std::vector<SweptWay>> Loop::do_take_ways() {
+  TM_RETURN_IF_ERROR(require_state());
+  if (!world_->sweeps().has_news()) return std::vector<SweptWay>();
+  try {
+    return world_->sweeps().take_ways();
+  } catch (const std::bad_alloc&) {
+    return fail(ErrorCode::kResourceExhausted, "the server has no memory for the cut; the scene goes on");
+  }
 }
 
 Result<v1::SceneStatus> Loop::do_restore(const LoopCopy& state, EditPointer edit, const GenerationPointer& generation) {

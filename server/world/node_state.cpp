@@ -274,6 +274,34 @@ void put_edge_pairs(const Model& m, std::span<const EdgePair> pairs, double* mem
   }
 }
 
+/// Returns what blade points remember. It follows what contacts do.
+std::vector<double> blade_points_of(const Model& m, const std::vector<double>& link_slips) {
+  const std::size_t points = m.links.blades.point_count(), patches = m.layout.patch_count;
+  std::vector<double> out;
+  if (points == 0) return out;
+  const double* memory = link_slips.data() + link_slips.size() - points * (view::kBladeMemory + patches);
+  const double* found = memory + points * view::kBladeMemory;
+  for (std::size_t point = 0; point < points; ++point, memory += view::kBladeMemory, found += patches) {
+    out.insert(out.end(), memory, memory + view::kBladeMemory);
+    double first = 0;  // of the patches that found one, as contact::take_anchor chooses
+    for (std::size_t patch = 0; patch < patches; ++patch) {
+      if (found[patch] > 0 && (first == 0 || found[patch] < first)) first = found[patch];
+    }
+    out.push_back(first);
+  }
+  return out;
+}
+
+void put_blade_points(const Model& m, const std::vector<double>& blade_points, std::vector<double>& link_slips) {
+  const std::size_t points = m.links.blades.point_count(), patches = m.layout.patch_count, begin = link_slips.size();
+  link_slips.resize(begin + points * (view::kBladeMemory + patches));
+  for (std::size_t point = 0; point < points; ++point) {
+    const double* from = blade_points.data() + kBladeReals * point;
+    std::copy_n(from, std::size_t{view::kBladeMemory}, link_slips.data() + begin + view::kBladeMemory * point);
+    link_slips[begin + view::kBladeMemory * points + patches * point] = from[view::kBladeMemory];
+  }
+}
+
 }  // namespace
 
 NodeStateSizes sizes_of(const Model& m) {
@@ -284,7 +312,8 @@ NodeStateSizes sizes_of(const Model& m) {
           .internal_variables = variables_by_element(m),
           .slips = m.contacts_remember() ? kSlipReals * m.contact_points() * m.contact.triangle_count() : 0,
           .link_slips = kSlipReals * m.links.candidate_count(),
-          .broken = m.links.spring_count()};
+          .broken = m.links.spring_count(),
+          .blade_points = kBladeReals * m.links.blades.point_count()};
 }
 
 /// The layout sorts them by the row of their first corner, and those of one row
@@ -343,6 +372,7 @@ NodeState by_node(const Model& m, const LayoutState& state) {
       out.edge_pairs = edge_pairs_of(m, history.link_slips.data() + sizes.link_slips);
     }
   }
+  out.blade_points = blade_points_of(m, history.link_slips);
   out.broken.reserve(sizes.broken);
   for (const std::uint32_t place : m.links.spring_places) out.broken.push_back(history.broken[place] != 0 ? 1 : 0);
   return out;
@@ -354,7 +384,8 @@ LayoutState in_layout(const Model& m, const NodeState& state) {
                 state.previous_displacement.size() == sizes.previous &&
                 state.previous_velocity.size() == sizes.previous && state.solution.size() == sizes.solution &&
                 state.internal_variables.size() == sizes.internal_variables && state.slips.size() == sizes.slips &&
-                state.link_slips.size() == sizes.link_slips && state.broken.size() == sizes.broken,
+                state.link_slips.size() == sizes.link_slips && state.broken.size() == sizes.broken &&
+                state.blade_points.size() == sizes.blade_points,
             "a state is of the same scene");
   LayoutState out;
   auto& [rows, history] = out;
@@ -389,6 +420,7 @@ LayoutState in_layout(const Model& m, const NodeState& state) {
     }
     put_edge_pairs(m, state.edge_pairs, history.link_slips.data() + sizes.link_slips);
   }
+  put_blade_points(m, state.blade_points, history.link_slips);
   history.broken.resize(sizes.broken);
   for (std::size_t spring = 0; spring < sizes.broken; ++spring) {
     history.broken[m.links.spring_places[spring]] = state.broken[spring];

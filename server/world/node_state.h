@@ -53,6 +53,9 @@ struct EdgePair {
   bool operator==(const EdgePair& to) const = default;
 };
 
+/// What a blade point remembers (view::BladeMemory), then the tetrahedron that was found around it, plus 1.
+inline constexpr std::size_t kBladeReals = view::kBladeMemory + 1;
+
 /// Arrays that the scene does not use are empty, as in backend::StepHistory.
 struct NodeState {
   std::vector<double> displacement;           ///< [node_count, 3] m
@@ -65,6 +68,7 @@ struct NodeState {
   std::vector<double> link_slips;             ///< [candidate][4], see view::LinksView::slips
   std::vector<std::uint8_t> broken;           ///< [spring] 1: it is broken
   std::vector<EdgePair> edge_pairs;           ///< ascending; no two of the same edges
+  std::vector<double> blade_points;           ///< [blade point][kBladeReals]
   double internal_dt_s = 0;                   ///< these three as in RowState and StepHistory
   double last_dt_s = 0;
   double largest_force_squared = 0;
@@ -72,7 +76,7 @@ struct NodeState {
 
 /// Sizes of the arrays of a NodeState; 0: the scene does not use it.
 struct NodeStateSizes {
-  std::size_t nodes, previous, solution, internal_variables, slips, link_slips, broken;
+  std::size_t nodes, previous, solution, internal_variables, slips, link_slips, broken, blade_points;
 };
 NodeStateSizes sizes_of(const model::Model& model);
 

@@ -1,15 +1,20 @@
 #include "world/runner.h"
 
 #include <algorithm>
+#include <atomic>
+#include <cmath>
 #include <map>
 #include <mutex>
 #include <span>
+#include <thread>
 #include <variant>
 
 #include <fmt/format.h>
 
 #include "core/limits.h"
+#include "core/log.h"
 #include "core/names.h"
+#include "core/thread_name.h"
 #include "world/adjustments.h"
 #include "world/compiled_scene.h"
 #include "world/cuts.h"
@@ -23,6 +28,9 @@
 namespace tensormass::world {
 
 namespace {
+
+/// Simulated time between two cuts of what blades sweep in a scene that steps by hand.
+constexpr double kBetweenCutsS = 0.1;
 
 std::string write_snapshot(const Generation& generation, const LoopCopy& copy) {
   return world::write_snapshot(*generation.model, generation.scene_hash, by_node(*generation.model, copy));
@@ -68,6 +76,7 @@ struct Runner::Impl {
                                                       false,
                                                       {}});
     loop = std::make_unique<Loop>(backend.backend, std::move(world), std::move(generation));
+    if (has_blades() && !loop->generation()->model->lockstep) cutter.start(*this);
   }
 
   Result<std::size_t> find_tool(std::string_view tool) const {
@@ -102,6 +111,40 @@ struct Runner::Impl {
   Result<void> take_values(v1::SceneAdjustments wanted);
   Result<void> swap_world(v1::SceneAdjustments wanted, model::SceneCuts cuts, const EditPointer& reset = nullptr);
   Result<v1::SceneStatus> cut(const v1::SceneEdit& edit);
+  void refuse_cut(const Error& error) const;
+  Result<v1::SceneStatus> step_with_blades(std::uint32_t count);
+  Result<void> take_cuts(model::SceneCuts cuts);
+  Result<void> cut_what_was_swept();
+  bool has_blades() const { return source != nullptr && loop->generation()->model->links.blades.count() > 0; }
+
+  /// Cuts what blades sweep while the scene runs by the clock: again and again, as long as something new was swept.
+  class Cutter {
+   public:
+    void start(Impl& of) {
+      impl_ = &of;
+      thread_ = std::thread([this] { run(); });
+    }
+    ~Cutter() {
+      if (impl_ == nullptr) return;
+      ends_ = true;
+      impl_->loop->stop_waiting();
+      thread_.join();
+    }
+
+   private:
+    void run() {
+      name_thread("cut");
+      for (std::uint32_t seen = 0; !ends_;) {
+        seen = impl_->loop->wait_for_sweep(seen);
+        if (ends_ || impl_->loop->cancelled()) continue;
+        if (const auto cut = impl_->cut_what_was_swept(); !cut) impl_->refuse_cut(cut.error());
+      }
+    }
+
+    Impl* impl_ = nullptr;
+    std::atomic<bool> ends_{false};
+    std::thread thread_;
+  };
 
   const v1::SceneReport report;
   const BackendDescription backend;
@@ -110,7 +153,8 @@ struct Runner::Impl {
   std::map<std::string, std::size_t, std::less<>> tool_index;
 
   std::mutex adjusting;        // one `adjust` at a time
-  std::unique_ptr<Loop> loop;  // last: its thread ends first
+  std::unique_ptr<Loop> loop;  // its thread ends before all of the above
+  Cutter cutter;               // last: uses the loop
 };
 
 Result<std::unique_ptr<Runner>> Runner::start(const v1::Scene& scene, const RunnerOptions& options,
@@ -152,7 +196,8 @@ Result<v1::SceneStatus> Runner::step(std::uint32_t count) {
     return invalid(
         fmt::format("count: {} is not within [1, limits::kMaxStepsPerCall = {}]", count, limits::kMaxStepsPerCall));
   }
-  return impl_->call([count](Loop& loop) { return loop.do_step(count); });
+  if (!impl_->has_blades()) return impl_->call([count](Loop& loop) { return loop.do_step(count); });
+  return impl_->step_with_blades(count);
 }
 Result<v1::SceneStatus> Runner::edit(const v1::SceneEdit& change) {
   if (!change.cuts().empty()) return impl_->cut(change);
@@ -320,10 +365,46 @@ Result<v1::SceneStatus> Runner::Impl::cut(const v1::SceneEdit& edit) {
   const std::lock_guard lock(adjusting);
   const GenerationPointer present = loop->generation();
   TM_ASSIGN_OR_RETURN(cuts, cut_edges(source->scene, edit, present->cuts));
-  v1::SceneAdjustments wanted = present->adjustments;
-  write_cuts(cuts, wanted);
-  TM_RETURN_IF_ERROR(swap_world(std::move(wanted), std::move(cuts)));
+  TM_RETURN_IF_ERROR(take_cuts(std::move(cuts)));
   return loop->status().make();
+}
+
+/// Goes on with the scene cut. Needs `adjusting`.
+Result<void> Runner::Impl::take_cuts(model::SceneCuts cuts) {
+  v1::SceneAdjustments wanted = loop->generation()->adjustments;
+  write_cuts(cuts, wanted);
+  return swap_world(std::move(wanted), std::move(cuts));
+}
+
+/// Says why tissue stays whole although a blade went through. The scene goes on.
+void Runner::Impl::refuse_cut(const Error& error) const {
+  log::warn("cut refused", {{"scene", topology.scene()}, {"reason", error.message}});
+}
+
+/// Makes steps by hand, and cuts what was swept where the number of steps says so, so that a run repeats.
+Result<v1::SceneStatus> Runner::Impl::step_with_blades(std::uint32_t count) {
+  const auto steps =
+      static_cast<std::uint64_t>(std::max(1L, std::lround(kBetweenCutsS / loop->generation()->model->dt_s)));
+  for (;;) {
+    const std::uint64_t made = loop->status().make().step();
+    const auto part = static_cast<std::uint32_t>(std::min<std::uint64_t>(count, steps - made % steps));
+    TM_ASSIGN_OR_RETURN(status, call([part](Loop& of) { return of.do_step(part); }));
+    if (status.step() % steps == 0) {
+      if (const auto cut = cut_what_was_swept(); !cut) refuse_cut(cut.error());
+    }
+    if (count == part) return loop->status().make();
+    count -= part;
+  }
+}
+
+/// Cuts what blades have swept since the last call.
+Result<void> Runner::Impl::cut_what_was_swept() {
+  const std::lock_guard lock(adjusting);
+  TM_ASSIGN_OR_RETURN(ways, loop->call([&] { return loop->do_take_ways(); }));
+  if (ways.empty()) return {};
+  const GenerationPointer present = loop->generation();
+  TM_ASSIGN_OR_RETURN(cuts, cut_along(source->scene, ways, present->cuts));
+  return cuts == present->cuts ? Result<void>{} : take_cuts(std::move(cuts));
 }
 
 Result<v1::SceneStatus> Runner::Impl::apply(const Restore& restore, const EditPointer& edit) {

@@ -257,6 +257,29 @@ Result<std::vector<EdgePair>> read_edge_pairs(const v1::SnapshotState& message, 
   return out;
 }
 
+/// Reads what blade points hold: elements of the scene, and places in them.
+Result<std::vector<double>> read_blade_points(const std::string& bytes, const model::Model& model) {
+  constexpr double kBeside = 1e-3;  // anchors are inside, but for rounding
+  TM_ASSIGN_OR_RETURN(out, read_doubles(bytes, sizes_of(model).blade_points, "blade_points"));
+  const auto is_element = [&](double value) {
+    return value == std::floor(value) && value >= 0 && value <= model.links.blades.tetrahedron_count();
+  };
+  for (std::size_t point = 0; point < out.size(); point += kBladeReals) {
+    const double* memory = out.data() + point;
+    const double* weights = memory + view::kBladeWeights;
+    const auto is_weight = [](double weight) { return weight >= -kBeside && weight <= 1 + kBeside; };
+    const bool holds = memory[view::kBladeTetrahedron] > 0;
+    const double sum = weights[0] + weights[1] + weights[2] + weights[3];
+    if (!is_element(memory[view::kBladeTetrahedron]) || !is_element(memory[view::kBladeMemory]) ||
+        (holds && (!std::all_of(weights, weights + 4, is_weight) || std::abs(sum - 1) > kBeside)) ||
+        !(memory[view::kBladeRetreat] >= 0) || memory[view::kBladeEvent] != 0 || memory[view::kBladeLast] != 0) {
+      return invalid(fmt::format("snapshot.blade_points: point {} holds no place in an element of this scene",
+                                 point / kBladeReals));
+    }
+  }
+  return std::move(out);
+}
+
 void write_tissue(const NodeState& tissue, v1::SnapshotState& out) {
   write_doubles(tissue.displacement, *out.mutable_displacement());
   write_doubles(tissue.velocity, *out.mutable_velocity());
@@ -267,6 +290,7 @@ void write_tissue(const NodeState& tissue, v1::SnapshotState& out) {
   write_doubles(tissue.slips, *out.mutable_slips());
   write_doubles(tissue.link_slips, *out.mutable_link_slips());
   write_broken(tissue.broken, *out.mutable_broken_springs());
+  write_doubles(tissue.blade_points, *out.mutable_blade_points());
   for (const EdgePair& pair : tissue.edge_pairs) write_edge_pair(pair, *out.add_edge_pairs());
   write_doubles(tissue.solution, *out.mutable_solution());
   out.set_last_dt_s(tissue.last_dt_s);
@@ -288,6 +312,7 @@ Result<NodeState> read_tissue(const v1::SnapshotState& message, const model::Mod
   TM_ASSIGN_OR_RETURN(slips, read_doubles(message.slips(), sizes.slips, "slips"));
   TM_ASSIGN_OR_RETURN(link_slips, read_doubles(message.link_slips(), sizes.link_slips, "link_slips"));
   TM_ASSIGN_OR_RETURN(broken, read_broken(message.broken_springs(), sizes.broken));
+  TM_ASSIGN_OR_RETURN(blade_points, read_blade_points(message.blade_points(), model));
   TM_ASSIGN_OR_RETURN(pairs, read_edge_pairs(message, model));
   TM_ASSIGN_OR_RETURN(solution, read_doubles(message.solution(), sizes.solution, "solution"));
   TM_ASSIGN_OR_RETURN(last_dt_s, read_finite(message.last_dt_s(), "last_dt_s"));
@@ -301,6 +326,7 @@ Result<NodeState> read_tissue(const v1::SnapshotState& message, const model::Mod
   out.slips = std::move(slips);
   out.link_slips = std::move(link_slips);
   out.broken = std::move(broken);
+  out.blade_points = std::move(blade_points);
   out.edge_pairs = std::move(pairs);
   out.internal_dt_s = internal_dt_s;
   out.last_dt_s = last_dt_s;

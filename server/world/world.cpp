@@ -61,7 +61,9 @@ World::World(std::shared_ptr<const model::Model> loaded, std::unique_ptr<model::
       energy_(*model_),
       cg_limit_(model_->cg_max_iterations),
       broken_(model_->links.spring_count()),
-      broken_bits_((broken_.size() + 7) / 8) {
+      broken_bits_((broken_.size() + 7) / 8),
+      fronts_(model_->links.blades.point_count()),
+      sweeps_(*model_) {
   if (model_->edit_tables != nullptr) editor_.emplace(*model_);
   severed_.severed.reserve(broken_.size());
   newly_broken_.reserve(std::max<std::size_t>(model_->attachments.size(), 1) * (2 + tools_.size()));
@@ -185,6 +187,10 @@ bool World::step(bool gather_visible) {
   if (last_.broken_springs != broken_count_) read_broken();
   read_tools();
   burn();
+  if (check.good() && !fronts_.empty()) {  // a held step leaves blades as they were
+    state_->read_blades(fronts_);
+    sweeps_.take(*model_, fronts_);
+  }
   return true;
 }
 
@@ -504,6 +510,7 @@ void World::reset() {
   stuck_s_ = 0;
   read_broken();
   newly_broken_.clear();
+  sweeps_.clear();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
 }
@@ -534,6 +541,7 @@ void World::restore(const Copied& saved) {
   state_->write_history(saved.tissue.history);
   read_broken();
   newly_broken_.clear();
+  sweeps_.clear();
   std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
   step_count_ = saved.step_count;
   last_ = {};

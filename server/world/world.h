@@ -15,6 +15,7 @@
 #include "world/guard.h"
 #include "world/news.h"
 #include "world/node_state.h"
+#include "world/sweeps.h"
 #include "world/tool.h"
 
 namespace tensormass::world {
@@ -122,6 +123,9 @@ class World {
   const model::Editor* editor() const { return editor_ ? &*editor_ : nullptr; }
   /// What edits and tools have taken from each body since then, [body]. Empty: the scene has no editing.
   std::span<const RemovedTissue> removed() const { return removed_; }
+  /// What blades have swept since the last cut was made of it.
+  BladeSweeps& sweeps() { return sweeps_; }
+  const BladeSweeps& sweeps() const { return sweeps_; }
   /// Springs that broke in the last step or edit. A reset and a restored state break none.
   std::span<const BrokenSprings> newly_broken() const { return newly_broken_; }
   /// Returns the position of a tool's tip [m].
@@ -285,6 +289,8 @@ class World {
   std::uint32_t broken_count_ = 0;  // bits that are set
   std::vector<BrokenSprings> newly_broken_;
   std::vector<RemovedTissue> removed_;
+  std::vector<backend::BladeFront> fronts_;  // [points of all blades] of the last step
+  BladeSweeps sweeps_;
   std::uint64_t step_count_ = 0;
   std::uint64_t topology_version_ = 0;
 };

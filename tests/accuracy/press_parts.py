@@ -31,7 +31,7 @@ from tensormass._src.organ import ORGANS, Organ
 from tensormass._src.packing import body_mesh
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.server import Server
-from tensormass.v1 import scene_pb2
+from tensormass.v1 import edit_pb2, scene_pb2
 from tensormass_tools.trade.interpolation import Interpolation
 from tensormass_tools.trade.knobs import Knobs
 from tensormass_tools.trade.knobs import Setting as Values
@@ -203,7 +203,7 @@ def _scene(knobs: Knobs, part: Part) -> scene_pb2.Scene:
     scene = replace(file, fields=fields).message()
     scene.tools[0].spherical_probe.penalty_stiffness_pa_per_m = part.penalty * PENALTY_PA_PER_M
     if part.rigid:
-        scene.tools[0].contact_method = scene_pb2.CONTACT_METHOD_AUGMENTED_LAGRANGIAN
+        scene.tools[0].contact_method = edit_pb2.CONTACT_METHOD_AUGMENTED_LAGRANGIAN
     scene.solver.Clear()
     scene.solver.integrator = scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
     scene.solver.precision = scene_pb2.Solver.PRECISION_DOUBLE

@@ -31,7 +31,7 @@ from tensormass._src.meshes import FloatArray
 from tensormass._src.organ import ORGANS, liver
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.server import Server
-from tensormass.v1 import scene_pb2
+from tensormass.v1 import edit_pb2, scene_pb2
 from tensormass_tools.presets import FOR_BACKEND
 from tensormass_tools.tool_sizes import movable_tools, radius_m, shape_of
 from tensormass_tools.trade.knobs import Knobs
@@ -51,8 +51,8 @@ _PRESSES_S, _HOLDS_S = 0.25, 0.6
 _RESTS = 0.002
 _LAST_STEPS = 6
 CONTACTS = {
-    "penalty": scene_pb2.CONTACT_METHOD_PENALTY,
-    "augmented Lagrangian": scene_pb2.CONTACT_METHOD_AUGMENTED_LAGRANGIAN,
+    "penalty": edit_pb2.CONTACT_METHOD_PENALTY,
+    "augmented Lagrangian": edit_pb2.CONTACT_METHOD_AUGMENTED_LAGRANGIAN,
 }
 #: Turns the z axis of a tool along x: w, x, y, z.
 _ALONG_X = (float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)), 0.0)

@@ -17,7 +17,7 @@ import tensormass as tm
 from tensormass._src import grids, meshes
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.shapes import SHAPES
-from tensormass.v1 import scene_pb2
+from tensormass.v1 import edit_pb2, scene_pb2
 from tensormass_tools import presets
 from tensormass_tools.trade.interpolation import Interpolation
 from tensormass_tools.trade.knobs import Knobs, Setting
@@ -50,7 +50,7 @@ def test_tools_take_the_contact_method(tmp_path: Path) -> None:
     knobs = knobs_of(BLOCK, tmp_path)
     assert knobs.knobs["contact_method"].own == "penalty"
     changed = knobs.apply({"contact_method": "augmented_lagrangian"}).message()
-    assert [tool.contact_method for tool in changed.tools] == [scene_pb2.CONTACT_METHOD_AUGMENTED_LAGRANGIAN]
+    assert [tool.contact_method for tool in changed.tools] == [edit_pb2.CONTACT_METHOD_AUGMENTED_LAGRANGIAN]
     nothing = BLOCK[: BLOCK.index("tools:")] + BLOCK[BLOCK.index("solver:") :]
     assert knobs_of(nothing, tmp_path).without["contact_method"] == "the scene has no tools"
 

@@ -84,6 +84,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     first.rayleigh_mass_per_s, first.rayleigh_stiffness_s = 1, 1e-3
     first.color_srgb.x = 0.5
     first.ablation_j_per_m3 = 2e9
+    first.fracture_toughness_j_per_m2 = 200
     first.mesh.scale = 1.0
     first.mesh.translation_m.x = 0.25
     first.fixed.add().sphere.radius_m = 1e-3
@@ -132,6 +133,8 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
         if law == "transversely_isotropic":
             body.element_fields.fibre_directions = packed([[1, 0, 0]])
     for kind in scene_pb2.Tool.DESCRIPTOR.oneofs_by_name["kind"].fields:
+        if kind.name == "scalpel":
+            continue  # `cutting_scene` has it
         tool = scene.tools.add(name=kind.name, max_speed_m_per_s=0.5)
         tool.mass_kg, tool.coupling_stiffness_n_per_m, tool.coupling_damping_n_s_per_m = 0.05, 500, 1
         tool.max_force_n, tool.max_torque_n_m, tool.max_joint_load = 30, 1, 1
@@ -165,6 +168,23 @@ def burning_scene(engine: Engine) -> scene_pb2.Scene:
     tool.position_m.z = 1
     tool.cautery.power_w, tool.cautery.efficiency = 30, 0.3
     return scene
+
+
+def cutting_scene(engine: Engine) -> scene_pb2.Scene:
+    """A scene that a scalpel may cut."""
+    mesh = box("tetrahedron", (2, 1, 1), (CUBE_M,) * 3)
+    scene = real_time(engine, Problem(mesh, tissue("hooke"), [clamped(mesh)]))
+    scene.editing.cutting.SetInParent()
+    scene.bodies[0].fracture_toughness_j_per_m2 = 200
+    tool = scene.tools.add(name="scalpel")
+    tool.scalpel.length_m, tool.scalpel.thickness_m, tool.scalpel.spacing_m = 0.02, 5e-4, 1e-3
+    tool.scalpel.tip_offset_m.z = -0.01
+    tool.position_m.z = 0.05
+    return scene
+
+
+#: Every number of a scene is in one of these.
+SCENES = (whole_scene, burning_scene, cutting_scene)
 
 
 def _is_real_bytes(kind: int, name: str) -> bool:
@@ -343,7 +363,7 @@ def _spoil_pose(engine: Engine, place: Place, good: stream_pb2.ToolPose) -> Foun
 def input_cases() -> Iterator[Case]:
     unused = Engine(cast("tm.Server", None), "float")
     seen: set[str] = set()
-    all_places = ((scene, place) for scene in (whole_scene, burning_scene) for place in places(scene(unused)))
+    all_places = ((scene, place) for scene in SCENES for place in places(scene(unused)))
     for scene, place in all_places:
         # The same field of another body adds nothing; each law has fields of its own.
         short = re.sub(r"\[\d+\]", "", place.path)

@@ -41,7 +41,7 @@ from .case import (
     judge,
 )
 from .cases import all_cases
-from .cases_input import burning_scene, places, real_fields, whole_scene
+from .cases_input import SCENES, places, real_fields
 from .journal import Entry, Journal
 from .promises import PROMISES
 from .run import bundles_of, run, tasks_of
@@ -72,7 +72,7 @@ def test_case_keeps_its_promise(server: tm.Server, case: Case, precision: str) -
 
 def test_input_cases_cover_every_number_of_a_scene() -> None:
     unused = Engine(None, "float")  # type: ignore[arg-type]
-    visited = {place.kind for scene in (whole_scene, burning_scene) for place in places(scene(unused))}
+    visited = {place.kind for scene in SCENES for place in places(scene(unused))}
     assert real_fields(scene_pb2.DESCRIPTOR.message_types_by_name["Scene"]) - visited == set()
 
 

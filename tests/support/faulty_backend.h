@@ -78,6 +78,7 @@ class FaultyState final : public backend::SceneState {
   void gather_visible() override { sound_->gather_visible(); }
   void apply(const model::ModelEdit& edit) override { sound_->apply(edit); }
   std::vector<backend::ConstantBuffer> read_constants() override { return sound_->read_constants(); }
+  void read_blades(std::span<backend::BladeFront> fronts) override { sound_->read_blades(fronts); }
   void read_broken(std::span<std::uint8_t> broken) override { sound_->read_broken(broken); }
   void diagnose(std::span<backend::GroupDiagnostics> groups) override { sound_->diagnose(groups); }
   backend::RowState read() override { return sound_->read(); }

@@ -46,6 +46,8 @@ def radius_m(tool: scene_pb2.Tool) -> float:
         return float(scale * np.ptp(positions, axis=0).min() / 2)
     if isinstance(shape, scene_pb2.Plane):
         raise InvalidArgumentError(f"tool {tool.name!r} is a plane, which has no size")
+    if isinstance(shape, scene_pb2.Scalpel):
+        return shape.thickness_m / 2
     return float(shape.radius_m)  # type: ignore[attr-defined]  # all other kinds are thin
 
 

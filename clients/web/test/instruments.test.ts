@@ -58,6 +58,15 @@ it("draws a capsule from its tip along the tool's z axis", () => {
   expect(box.max.toArray()).toEqual(close(0.005, 0.005, 0.105));
 });
 
+it("draws the edge of a scalpel from its tip, as thick as its blade", () => {
+  const value = { lengthM: 0.02, thicknessM: 0.001, spacingM: 0.001 };
+  const tool = { name: "probe", radiusM: 0.0005, tool: { kind: { case: "scalpel" as const, value } } };
+  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, LOW);
+  const box = new THREE.Box3().setFromObject(instruments.shapes()[0]!);
+  expect(box.min.toArray()).toEqual(close(-0.0005, -0.0005, -0.0005));
+  expect(box.max.toArray()).toEqual(close(0.0005, 0.0005, 0.0205));
+});
+
 it("draws a retractor from its toe along the blade, and up its shaft", () => {
   const value = { radiusM: 0.005, bladeLengthM: 0.04, shaftLengthM: 0.2 };
   const tool = { name: "probe", radiusM: 0.005, tool: { kind: { case: "retractor" as const, value } } };

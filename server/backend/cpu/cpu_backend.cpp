@@ -123,6 +123,10 @@ class CpuState final : public SceneState {
     copy_broken(std::span<const Real>(view_.links.broken, view_.links.spring_count), broken);
   }
 
+  void read_blades(std::span<BladeFront> fronts) override {
+    copy_blades<Real>({view_.links.blades.reports, view_.links.blades.point_count}, fronts);
+  }
+
   void diagnose(std::span<GroupDiagnostics> groups) override {
     run(step::Phase::kDiagnostics);
     read_diagnostics<Real>({view_.guard.diagnostics, groups.size() * view_.patches.patch_count}, groups);

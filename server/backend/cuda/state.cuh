@@ -70,6 +70,7 @@ class CudaState final : public SceneState {
                    std::numeric_limits<Real>::infinity()),
         loads_(model.tools.size() * model.layout.patch_count),
         link_reports_(model.links.count() > 0 ? model.layout.patch_count : 0),
+        blade_reports_(model.links.blades.point_count()),
         balance_reports_(model.free_bodies.count()),
         visible_(3 * std::size_t{model.visible.point_count()}),
         broken_(model.links.spring_count()),
@@ -202,6 +203,8 @@ class CudaState final : public SceneState {
     copy_broken(std::span<const Real>(broken_.span()), broken);
   }
 
+  void read_blades(std::span<BladeFront> fronts) override { copy_blades<Real>(blade_reports_.span(), fronts); }
+
   void diagnose(std::span<GroupDiagnostics> groups) override {
     run(step::Phase::kDiagnostics);
     wait("diagnostics");
@@ -320,6 +323,7 @@ class CudaState final : public SceneState {
             .min_det_f = min_det_f_.data(),
             .tool_loads = loads_.data(),
             .link_reports = link_reports_.data(),
+            .blade_reports = blade_reports_.data(),
             .balance_reports = balance_reports_.data()};
   }
 
@@ -467,6 +471,7 @@ class CudaState final : public SceneState {
   Pinned<Real> min_det_f_;
   Pinned<view::ToolLoad<Real>> loads_;
   Pinned<view::LinkReport<Real>> link_reports_;
+  Pinned<view::BladeReport<Real>> blade_reports_;
   Pinned<view::BalanceReport<Real>> balance_reports_;
   Pinned<float> visible_;
   Pinned<Real> broken_;                     // [spring_count]

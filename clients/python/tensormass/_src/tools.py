@@ -59,7 +59,7 @@ def make_tool(
     if contact_method is not None:
         where = f"{name}.contact_method"
         tool.contact_method = cast(
-            "scene_pb2.ContactMethod", enum_number(scene_pb2.ContactMethod.DESCRIPTOR, contact_method, where)
+            "edit_pb2.ContactMethod", enum_number(edit_pb2.ContactMethod.DESCRIPTOR, contact_method, where)
         )
     if cautery_power_w is not None:
         tool.cautery.CopyFrom(edit_pb2.Cautery(power_w=cautery_power_w, efficiency=cautery_efficiency))

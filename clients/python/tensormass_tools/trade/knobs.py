@@ -20,7 +20,7 @@ from tensormass._shared import defaults
 from tensormass._shared.enums import short_name
 from tensormass._shared.files import replacing
 from tensormass._shared.names import suggestion
-from tensormass.v1 import scene_pb2
+from tensormass.v1 import edit_pb2, scene_pb2
 from tensormass_tools.trade.scene_edits import (
     Value,
     each_body,
@@ -317,7 +317,7 @@ class Knobs:
         if len(methods) != 1:
             self.without["contact_method"] = "the tools differ" if methods else "the scene has no tools"
         else:
-            own = short_name(scene_pb2.ContactMethod.DESCRIPTOR, methods.pop())
+            own = short_name(edit_pb2.ContactMethod.DESCRIPTOR, methods.pop())
             self._add("contact_method", "how contacts of tools carry their load", own, _CONTACT_METHODS)
 
     # --- edits of the file --------------------------------------------------------------------------------------------

@@ -349,6 +349,7 @@ function coreOf(where: string, tool: Tool | undefined): ToolCore {
   const kind = tool?.kind;
   switch (kind?.case) {
     case "capsule":
+    case "scalpel": // its edge; the handle goes on from there
       return rigid(tip, [0, 0, length("length_m", kind.value.lengthM)]);
     case "retractor": {
       const blade = length("blade_length_m", kind.value.bladeLengthM);

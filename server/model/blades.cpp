@@ -1,0 +1,161 @@
+#include <algorithm>
+#include <array>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "core/cut_limits.h"
+#include "model/compile_parts.h"
+#include "tensormass/v1/scene.pb.h"
+
+/// Makes the tables of blades (view/blades.h).
+namespace tensormass::model {
+
+namespace {
+
+/// A face of a tetrahedron by its nodes in ascending order.
+struct Face {
+  std::array<std::uint32_t, 3> nodes;
+  std::uint32_t element, corner;  ///< the corner opposite to it
+};
+
+/// Returns the neighbours of each element across the face opposite to each corner. Where a cut ends, a face may belong
+/// to more than two copies of elements; an element then has the first of those on the other side.
+std::vector<std::uint32_t> neighbours_of(const std::vector<std::array<std::uint32_t, 4>>& elements,
+                                         std::span<const Eigen::Vector3d> nodes) {
+  std::vector<Face> faces;
+  faces.reserve(4 * elements.size());
+  for (std::uint32_t e = 0; e < elements.size(); ++e) {
+    for (std::uint32_t corner = 0; corner < 4; ++corner) {
+      Face face{{}, e, corner};
+      for (std::uint32_t k = 0, i = 0; k < 4; ++k) {
+        if (k != corner) face.nodes[i++] = elements[e][k];
+      }
+      std::sort(face.nodes.begin(), face.nodes.end());
+      faces.push_back(face);
+    }
+  }
+  std::sort(faces.begin(), faces.end(), [](const Face& a, const Face& b) {
+    return a.nodes != b.nodes ? a.nodes < b.nodes : a.element < b.element;
+  });
+  // Copies of one element lie on the same side of a face: their fourth corner is the same place.
+  const auto opposite = [&](const Face& face) -> const Eigen::Vector3d& {
+    return nodes[elements[face.element][face.corner]];
+  };
+  std::vector<std::uint32_t> out(4 * elements.size(), view::kNoTetrahedron);
+  for (std::size_t begin = 0, end = 0; begin < faces.size(); begin = end) {
+    while (end < faces.size() && faces[end].nodes == faces[begin].nodes) ++end;
+    for (std::size_t i = begin; i < end; ++i) {
+      for (std::size_t j = begin; j < end; ++j) {
+        if (j == i || opposite(faces[i]) == opposite(faces[j])) continue;
+        out[4 * std::size_t{faces[i].element} + faces[i].corner] = faces[j].element;
+        break;
+      }
+    }
+  }
+  return out;
+}
+
+/// Refuses what only shows when a cut is compiled.
+Result<void> check_may_be_cut(const v1::Body& message, const ReadBody& body) {
+  const auto refuse = [&](std::string_view what) {
+    return invalid(fmt::format("body '{}': {} cannot be cut yet; leave it or the scalpel out", body.name, what));
+  };
+  if (message.has_skin()) return refuse("a skin");
+  const bool is_pressed = std::any_of(message.loads().begin(), message.loads().end(),
+                                      [](const v1::Load& load) { return !load.has_force_n(); });
+  if (is_pressed) return refuse("a load on its surface");
+  const bool remembers = std::any_of(body.materials.begin(), body.materials.end(),
+                                     [](const Material& material) { return !material.prony.empty(); });
+  if (remembers && body.quadrature == physics::Quadrature::kSelective) {
+    return refuse("viscoelasticity with selective quadrature");
+  }
+  return {};
+}
+
+bool is_blade(const ToolModel& tool) {
+  return static_cast<int>(tool.kind) == physics::index_of<physics::Scalpel>(physics::Tools{});
+}
+
+}  // namespace
+
+Result<std::vector<std::uint32_t>> find_blades(const v1::Scene& scene, const ReadBodies& bodies,
+                                               std::span<const ToolModel> tools) {
+  std::vector<std::uint32_t> out;
+  for (std::uint32_t t = 0; t < tools.size(); ++t) {
+    if (!is_blade(tools[t])) continue;
+    const std::string where = fmt::format("tool '{}'", tools[t].name);
+    if (!scene.editing().has_cutting()) {
+      return fail(ErrorCode::kFailedPrecondition,
+                  fmt::format("{}: a scalpel needs a scene that can be cut; give scene.editing.cutting", where));
+    }
+    if (tools[t].fixed) return invalid(fmt::format("{}: a scalpel cuts where it moves, so leave fixed out", where));
+    if (tools[t].mass_kg > 0) {
+      return invalid(fmt::format("{}: a scalpel is where the hand is, so leave mass_kg out", where));
+    }
+    const std::uint32_t points = physics::Scalpel::blade_points(tools[t].parameters);
+    if (points < 2 || points > limits::kMaxBladePoints) {
+      return invalid(
+          fmt::format("{}.scalpel.spacing_m: {} points along the edge; give a spacing that makes 2 to "
+                      "limits::kMaxBladePoints = {}",
+                      where, points, limits::kMaxBladePoints));
+    }
+    out.push_back(t);
+  }
+  if (out.empty()) return out;
+  if (out.size() > limits::kMaxBlades) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("scene.tools: {} scalpels exceed limits::kMaxBlades = {}", out.size(), limits::kMaxBlades));
+  }
+  if (!scene.body_contacts().empty()) {
+    return invalid("scene.body_contacts: a scene with a scalpel cannot have them yet; leave one of the two out");
+  }
+  std::size_t elements = 0;
+  for (const ReadBody& body : bodies.bodies) {
+    TM_RETURN_IF_ERROR(check_may_be_cut(scene.bodies(static_cast<int>(&body - bodies.bodies.data())), body));
+    for (const mesh::ElementBlock& block : body.mesh.blocks) {
+      if (block.shape == mesh::Shape::kTetrahedron || block.nodes.empty()) continue;
+      return invalid(
+          fmt::format("body '{}': a scalpel cuts linear tetrahedra only, and it has other shapes; mesh it "
+                      "with tetrahedra, or take the scalpel out",
+                      body.name));
+    }
+    elements += body.element_count;
+  }
+  if (elements > limits::kMaxBladeTetrahedra) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("scene.bodies: {} tetrahedra exceed limits::kMaxBladeTetrahedra = {} of a scene with a "
+                            "scalpel; take a coarser mesh",
+                            elements, limits::kMaxBladeTetrahedra));
+  }
+  return out;
+}
+
+Blades make_blades(const LinkInput& in) {
+  Blades out;
+  out.tools = in.links.blades;
+  out.first_points.push_back(0);
+  for (const std::uint32_t tool : out.tools) {
+    out.first_points.push_back(out.first_points.back() + physics::Scalpel::blade_points(in.tools[tool].parameters));
+  }
+  std::vector<std::array<std::uint32_t, 4>> elements;
+  for_each_element(in.bodies, [&](auto, std::size_t body, std::uint32_t, std::span<const std::uint32_t> nodes, auto&) {
+    elements.push_back({nodes[0], nodes[1], nodes[2], nodes[3]});
+    out.toughness.push_back(in.bodies.bodies[body].fracture_toughness_j_per_m2);
+  });
+  out.neighbours = neighbours_of(elements, in.bodies.merged.nodes);
+  std::vector<std::uint32_t> patches;
+  for (const auto& nodes : elements) {
+    for (const std::uint32_t node : nodes) out.rows.push_back(in.layout.row_of_node[node]);
+    patches.push_back(in.layout.patch_of_row(out.rows[out.rows.size() - 4]));
+  }
+  out.patch_tetrahedra.assign(in.layout.patch_count + 1, 0);
+  for (const std::uint32_t patch : patches) ++out.patch_tetrahedra[patch + 1];
+  std::partial_sum(out.patch_tetrahedra.begin(), out.patch_tetrahedra.end(), out.patch_tetrahedra.begin());
+  out.tetrahedra.resize(elements.size());
+  std::vector<std::uint32_t> next(out.patch_tetrahedra.begin(), out.patch_tetrahedra.end() - 1);
+  for (std::uint32_t e = 0; e < elements.size(); ++e) out.tetrahedra[next[patches[e]]++] = e;
+  return out;
+}
+
+}  // namespace tensormass::model

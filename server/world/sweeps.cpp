@@ -1,0 +1,150 @@
+#include "world/sweeps.h"
+
+#include <algorithm>
+
+#include "core/assert.h"
+#include "core/cut_limits.h"
+
+namespace tensormass::world {
+
+namespace {
+/// Ways of a front that are shorter than this share of the distance between blade points make no position of their own.
+constexpr double kShortWay = 0.25;
+}  // namespace
+
+BladeSweeps::BladeSweeps(const model::Model& model) {
+  const model::Blades& blades = model.links.blades;
+  for (std::size_t b = 0; b < blades.count(); ++b) {
+    Blade& blade = blades_.emplace_back();
+    blade.points = blades.first_points[b + 1] - blades.first_points[b];
+    blade.step_m = kShortWay * model.tools[blades.tools[b]].parameters[2];
+    blade.room.resize(limits::kMaxBladePositions * blade.points);
+    now_.resize(std::max(now_.size(), blade.points));
+  }
+}
+
+void BladeSweeps::clear() {
+  for (Blade& blade : blades_) {
+    blade.positions = 0;
+    blade.open = false;
+  }
+  news_ = false;
+  fracture_j_ = 0;
+}
+
+void BladeSweeps::go_on_with(const BladeSweeps& before) {
+  TM_ASSERT(before.blades_.size() == blades_.size(), "a cut leaves the blades of a scene");
+  for (std::size_t b = 0; b < blades_.size(); ++b) {
+    blades_[b].positions = before.blades_[b].positions;
+    blades_[b].open = before.blades_[b].open;
+    std::copy(before.blades_[b].room.begin(), before.blades_[b].room.end(), blades_[b].room.begin());
+  }
+  news_ = before.news_;
+  fracture_j_ = before.fracture_j_;
+}
+
+bool BladeSweeps::same_run(const Blade& blade, const Point* a, const Point* b) {
+  return std::equal(a, a + blade.points, b, [](const Point& x, const Point& y) { return x.body == y.body; });
+}
+
+void BladeSweeps::take(const model::Model& model, std::span<const backend::BladeFront> fronts) {
+  for (Blade& blade : blades_) {
+    bool any = false;
+    for (std::size_t i = 0; i < blade.points; ++i) {
+      const backend::BladeFront& front = fronts[i];
+      now_[i] = {front.rest_m, kNoBody};
+      fracture_j_ += front.dissipated_j;
+      if (front.element == view::kNoTetrahedron) continue;
+      now_[i].body = static_cast<std::uint32_t>(model.body_of_element(front.element));
+      any = true;
+    }
+    fronts = fronts.subspan(blade.points);
+    if (blade.positions == 0) {
+      if (!any) continue;
+      std::copy_n(now_.data(), blade.points, blade.at(blade.positions++));
+      blade.open = false;
+      continue;
+    }
+    const Point* last = blade.at(blade.positions - 1);
+    if (same_run(blade, last, now_.data())) {
+      if (!any) continue;
+      // The position before an open one is that from which the way counts.
+      const Point* from = blade.open ? blade.at(blade.positions - 2) : last;
+      bool moved = false, far = !same_run(blade, from, now_.data());
+      for (std::size_t i = 0; i < blade.points; ++i) {
+        if (now_[i].body == kNoBody) continue;
+        moved = moved || now_[i].rest_m != last[i].rest_m;
+        far = far || (now_[i].rest_m - from[i].rest_m).squaredNorm() > blade.step_m * blade.step_m;
+      }
+      if (!moved) continue;
+      news_ = true;
+      if (!blade.open && blade.positions < limits::kMaxBladePositions) ++blade.positions;
+      std::copy_n(now_.data(), blade.points, blade.at(blade.positions - 1));
+      blade.open = !far || blade.positions == limits::kMaxBladePositions;
+      continue;
+    }
+    news_ = true;
+    if (blade.positions < limits::kMaxBladePositions) ++blade.positions;
+    std::copy_n(now_.data(), blade.points, blade.at(blade.positions - 1));
+    blade.open = false;
+  }
+}
+
+/// Appends the ways of one blade: for each run of points that cut the same body in two positions, as long as it stays.
+void BladeSweeps::add_ways(Blade& blade, std::vector<SweptWay>& out) {
+  struct Run {
+    std::size_t begin, end;
+    std::uint32_t body;
+    bool operator==(const Run&) const = default;
+  };
+  std::vector<Run> open;  // of `ways`, which end at the position before
+  std::vector<std::size_t> ways;
+  for (std::size_t position = 1; position < blade.positions; ++position) {
+    const Point *a = blade.at(position - 1), *b = blade.at(position);
+    std::vector<Run> runs;
+    for (std::size_t i = 0; i < blade.points; ++i) {
+      if (a[i].body == kNoBody || a[i].body != b[i].body) continue;
+      if (!runs.empty() && runs.back().end == i && runs.back().body == a[i].body) {
+        ++runs.back().end;
+      } else {
+        runs.push_back({i, i + 1, a[i].body});
+      }
+    }
+    std::erase_if(runs, [](const Run& run) { return run.end - run.begin < 2; });
+    std::vector<std::size_t> of_runs;
+    for (const Run& run : runs) {
+      const auto same = std::find(open.begin(), open.end(), run);
+      const auto points = [&](const Point* at) {
+        std::vector<Vec3<double>> line;
+        for (std::size_t i = run.begin; i < run.end; ++i) line.push_back(at[i].rest_m);
+        return line;
+      };
+      if (same == open.end()) {
+        of_runs.push_back(out.size());
+        out.push_back({run.body, {points(a), points(b)}});
+      } else {
+        of_runs.push_back(ways[static_cast<std::size_t>(same - open.begin())]);
+        out[of_runs.back()].positions_m.push_back(points(b));
+      }
+    }
+    open = std::move(runs);
+    ways = std::move(of_runs);
+  }
+}
+
+std::vector<SweptWay> BladeSweeps::take_ways() {
+  std::vector<SweptWay> out;
+  for (Blade& blade : blades_) {
+    add_ways(blade, out);
+    if (blade.positions > 1) std::copy_n(blade.at(blade.positions - 1), blade.points, blade.at(0));
+    blade.positions = std::min<std::size_t>(blade.positions, 1);
+    blade.open = false;
+    const bool ends = blade.positions == 1 && std::all_of(blade.at(0), blade.at(0) + blade.points,
+                                                          [](const Point& point) { return point.body == kNoBody; });
+    if (ends) blade.positions = 0;
+  }
+  news_ = false;
+  return out;
+}
+
+}  // namespace tensormass::world
