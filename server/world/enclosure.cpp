@@ -30,7 +30,9 @@ Enclosure::Enclosure(const model::Model& model) {
     for (mesh::Triangle& triangle : bodies_.back().triangles) {
       for (std::uint32_t& corner : triangle) corner += body.vertex_begin;
     }
+    triangles_.reserve(std::max(triangles_.capacity(), bodies_.back().triangles.capacity()));
   }
+  if (!bodies_.empty()) sides_.resize(model.visible.point_count());
 }
 
 void Enclosure::take(const model::Model& model, const model::Editor& editor) {
@@ -98,13 +100,33 @@ Enclosure::Core Enclosure::core_of(const model::ToolModel& tool, const physics::
   return core;
 }
 
+/// Returns the triangles that a line along z through a point of a rectangle can cross: all but those that lie beside
+/// it. Most do, and to see that takes less than to look for a crossing.
+std::span<const mesh::Triangle> Enclosure::triangles_between(const Body& body, const Vec3<double>& least,
+                                                             const Vec3<double>& most) {
+  // A bit for each side of the rectangle beyond which a point lies. A triangle is beside it if its corners share one.
+  const auto note = [&](std::uint32_t point) {
+    const Vec3<double> x = position(point);
+    sides_[point] = static_cast<std::uint8_t>((x[0] < least[0]) | (x[0] > most[0]) << 1 | (x[1] < least[1]) << 2 |
+                                              (x[1] > most[1]) << 3);
+  };
+  for (std::uint32_t v = body.vertex_begin; v < body.vertex_end; ++v) note(v);
+  for (const std::uint32_t v : body.appended) note(v);
+  triangles_.clear();
+  for (const mesh::Triangle& t : body.triangles) {
+    if ((sides_[t[0]] & sides_[t[1]] & sides_[t[2]]) == 0) triangles_.push_back(t);
+  }
+  return triangles_;
+}
+
 /// Collects where a line through the point along an axis crosses the surface, relative to the point. Returns false if
 /// there is no room for all. A line through an edge or a corner counts as one a little beside it, for all triangles
 /// alike.
-bool Enclosure::cross(const Body& body, const Vec3<double>& point, int axis, Crossings& out) const {
+bool Enclosure::cross(std::span<const mesh::Triangle> triangles, const Vec3<double>& point, int axis,
+                      Crossings& out) const {
   const int u = (axis + 1) % 3, v = (axis + 2) % 3;
   out.count = 0;
-  for (const mesh::Triangle& t : body.triangles) {
+  for (const mesh::Triangle& t : triangles) {
     std::array<Vec3<double>, 3> x;
     for (std::size_t c = 0; c < 3; ++c) x[c] = position(t[c]) - point;
     // A triangle is crossed if its edges wind around the line in the plane across it. Both triangles of an edge compute
@@ -127,24 +149,35 @@ bool Enclosure::cross(const Body& body, const Vec3<double>& point, int axis, Cro
   return true;
 }
 
-bool Enclosure::is_inside(const Body& body, const Vec3<double>& point) const {
+bool Enclosure::is_inside(const Body& body, std::span<const mesh::Triangle> triangles,
+                          const Vec3<double>& point) const {
   if ((point.array() < body.least.array()).any() || (point.array() > body.most.array()).any()) return false;
   Crossings crossings;
-  if (!cross(body, point, 2, crossings)) return false;
+  if (!cross(triangles, point, 2, crossings)) return false;
   int left = 0;
   for (std::size_t i = 0; i < crossings.count; ++i) left += crossings.all[i].at_m > 0 ? crossings.all[i].leaves : 0;
   return left > 0;
 }
 
-bool Enclosure::encloses(const model::ToolModel& tool, const physics::Pose& shape) const {
+bool Enclosure::encloses(const model::ToolModel& tool, const physics::Pose& shape) {
   const Core core = core_of(tool, shape);
+  if (core.count == 0) return false;
   const double around_m = tool.radius_m / 2;
-  for (std::size_t i = 0; i < core.count; ++i) {
-    for (const Body& body : bodies_) {
-      bool enclosed = is_inside(body, core.points[i]);
+  Vec3<double> least = core.points[0], most = least;
+  for (std::size_t i = 1; i < core.count; ++i) {
+    least = least.cwiseMin(core.points[i]);
+    most = most.cwiseMax(core.points[i]);
+  }
+  least.array() -= around_m;
+  most.array() += around_m;
+  for (const Body& body : bodies_) {
+    if ((most.array() < body.least.array()).any() || (least.array() > body.most.array()).any()) continue;
+    const std::span<const mesh::Triangle> triangles = triangles_between(body, least, most);
+    for (std::size_t i = 0; i < core.count; ++i) {
+      bool enclosed = is_inside(body, triangles, core.points[i]);
       for (int side = 0; enclosed && side < 6; ++side) {
-        enclosed =
-            is_inside(body, core.points[i] + (side % 2 == 0 ? around_m : -around_m) * Vec3<double>::Unit(side / 2));
+        const double way_m = side % 2 == 0 ? around_m : -around_m;
+        enclosed = is_inside(body, triangles, core.points[i] + way_m * Vec3<double>::Unit(side / 2));
       }
       if (enclosed) return true;
     }
@@ -156,7 +189,7 @@ bool Enclosure::is_outside(const model::ToolModel& tool, const physics::Pose& sh
   const Core core = core_of(tool, shape);
   for (std::size_t i = 0; i < core.count; ++i) {
     for (const Body& body : bodies_) {
-      if (is_inside(body, core.points[i])) return false;
+      if (is_inside(body, body.triangles, core.points[i])) return false;
     }
   }
   return true;
@@ -172,7 +205,10 @@ std::optional<Vec3<double>> Enclosure::way_out(const model::ToolModel& tool, con
       double way_m = 0;
       for (std::size_t i = 0; i < core.count; ++i) {
         for (const Body& body : bodies_) {
-          if (!is_inside(body, core.points[i]) || !cross(body, core.points[i], axis, crossings)) continue;
+          if (!is_inside(body, body.triangles, core.points[i]) ||
+              !cross(body.triangles, core.points[i], axis, crossings)) {
+            continue;
+          }
           const auto end = crossings.all.begin() + static_cast<std::ptrdiff_t>(crossings.count);
           std::sort(crossings.all.begin(), end,
                     [&](const auto& a, const auto& b) { return direction * a.at_m < direction * b.at_m; });

@@ -38,15 +38,15 @@ class Enclosure {
   void update(std::span<const float> visible_m);
   /// Returns whether a body encloses a point of the tool's core with half a radius of tissue around it. The core of a
   /// solid is its middle; a plane has none.
-  bool encloses(const model::ToolModel& tool, const physics::Pose& shape) const;
+  bool encloses(const model::ToolModel& tool, const physics::Pose& shape);
   /// Returns whether no body encloses a point of the tool's core.
   bool is_outside(const model::ToolModel& tool, const physics::Pose& shape) const;
   /// Returns the shortest move along an axis after which the tool is outside, with its diameter between, or nullopt.
   std::optional<Vec3<double>> way_out(const model::ToolModel& tool, const physics::Pose& shape) const;
 
  private:
-  /// Triangles of a body for each second of a step. A look reads all of them for each point of a core that is among
-  /// them, which would take too much of the step if they were more.
+  /// Triangles of a body for each second of a step. A look reads all of them if a core is among them, which would take
+  /// too much of the step if they were more.
   static constexpr double kMaxTrianglesPerS = 4e7;
   /// Surfaces with more crossings on one line are too torn to tell inside from outside.
   static constexpr std::size_t kMaxCrossings = 64;
@@ -73,11 +73,16 @@ class Enclosure {
 
   static Core core_of(const model::ToolModel& tool, const physics::Pose& shape);
   Vec3<double> position(std::uint32_t point) const;
-  bool cross(const Body& body, const Vec3<double>& point, int axis, Crossings& out) const;
-  bool is_inside(const Body& body, const Vec3<double>& point) const;
+  std::span<const mesh::Triangle> triangles_between(const Body& body, const Vec3<double>& least,
+                                                    const Vec3<double>& most);
+  bool cross(std::span<const mesh::Triangle> triangles, const Vec3<double>& point, int axis, Crossings& out) const;
+  bool is_inside(const Body& body, std::span<const mesh::Triangle> triangles, const Vec3<double>& point) const;
 
   std::vector<Body> bodies_;
   std::span<const float> visible_m_;
+  // A look's own, reserved.
+  std::vector<std::uint8_t> sides_;  // [visible point] see triangles_between
+  std::vector<mesh::Triangle> triangles_;
 };
 
 }  // namespace tensormass::world

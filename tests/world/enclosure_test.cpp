@@ -68,6 +68,28 @@ TEST_P(Enclosed, HalfARadiusOfTissueIsAroundIt) {
   EXPECT_FALSE(enclosure.encloses(probe, at({0.05, 0.07, 0.05})));
 }
 
+/// A look tests only triangles near the tool. The answer is that of all triangles: the points around a core are inside.
+TEST_P(Enclosed, ALookFindsWhatAllTrianglesSay) {
+  const auto world = start(block(6));
+  Enclosure enclosure(world->model());
+  enclosure.update(world->visible_positions());
+  const model::ToolModel& probe = world->model().tools[0];
+  std::mt19937 random(2);
+  std::uniform_real_distribution<double> within(-0.01, 0.11);
+  int enclosed = 0;
+  for (int i = 0; i < 500; ++i) {
+    const Vec3<double> p{within(random), within(random), within(random)};
+    bool expected = !enclosure.is_outside(probe, at(p));
+    for (int side = 0; side < 6; ++side) {
+      const Vec3<double> way = (side % 2 == 0 ? 0.5 : -0.5) * probe.radius_m * Vec3<double>::Unit(side / 2);
+      expected = expected && !enclosure.is_outside(probe, at(p + way));
+    }
+    EXPECT_EQ(enclosure.encloses(probe, at(p)), expected) << p.transpose();
+    enclosed += expected;
+  }
+  EXPECT_GT(enclosed, 50);
+}
+
 TEST_P(Enclosed, TheWayOutIsTheShortestAlongAnAxis) {
   const auto world = start(block());
   Enclosure enclosure(world->model());
