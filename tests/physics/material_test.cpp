@@ -282,7 +282,7 @@ TYPED_TEST(EveryMaterial, ProjectionKeepsAPositiveStiffness) {
 
 /// Laws in the invariants have a projection of their own. For the whole law and for the parts of selective quadrature
 /// it must leave no negative eigenvalue, from rest to inversion; and near rest it must change little: nothing where the
-/// stiffness is positive, elsewhere hardly more than the absolute values of the eigenvalues would.
+/// stiffness is positive, elsewhere at most twice what the absolute values of the eigenvalues would.
 TYPED_TEST(EveryMaterial, InvariantLawsRaiseWhatIsMissing) {
   if constexpr (std::is_base_of_v<InvariantLaw<TypeParam>, TypeParam>) {
     struct Part {
@@ -314,7 +314,7 @@ TYPED_TEST(EveryMaterial, InvariantLawsRaiseWhatIsMissing) {
           }
         }
         if (most > 0.1) continue;
-        EXPECT_LE(changes, 1.05 * least_changes) << "ν = " << part.poisson << ", strains to " << most;
+        EXPECT_LE(changes, 2 * least_changes) << "ν = " << part.poisson << ", strains to " << most;
         EXPECT_GE(kept, 0.95 * definite - 1) << "ν = " << part.poisson << ", strains to " << most;
       }
     }

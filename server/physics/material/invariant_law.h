@@ -7,7 +7,7 @@
 /// Isotropic laws W(I1, J), evaluated from F itself.
 ///
 /// Why: stress and stiffness of such a law are polynomials in F, and a decomposition of F costs more than all of them.
-/// The stiffness is made positive semi-definite through its three scalars, without eigenvectors.
+/// The projection to positive semi-definite changes three scalars and needs no eigenvectors.
 ///
 ///   F ──cofactor, determinant──► I1, J ──Derived::in_invariants──► W_1, W_J, W_11, W_JJ ──► stress, stiffness
 ///
@@ -39,10 +39,10 @@
 ///        Morrison 1950)
 ///
 /// If (1) fails, w grows and |q| shrinks in the ratio s. Near rest that moves rotations alone (q < 0), or changes of
-/// shape alone (q > 0). If (2) fails, β grows. Both end just at the bound if little was missing. If much was, they end
-/// as far above it as they were below, like absolute eigenvalues (law.h). Bound (1) is sharp if q < 0, which only
-/// strong expansion ends. s needs a root of the characteristic polynomial of FᵀF; a Newton step that comes from above
-/// gives one that is never too small.
+/// shape alone (q > 0). If (2) fails, β grows. Both end as far above the bound as they were below, so that what was
+/// most negative gets its absolute value (law.h). Bound (1) is sharp if q < 0, which only strong expansion ends. s
+/// needs a root of the characteristic polynomial of FᵀF; a Newton step that comes from above gives one that is never
+/// too small.
 ///
 /// β is not finite where an element is flat or inverted. There w grows above |q| 2 √(I1 / 3), the largest absolute
 /// eigenvalue of ∂²J/∂F² (Smith, de Goes, Kim 2019), and W_JJ is clamped at zero.
@@ -73,7 +73,7 @@ struct InvariantLaw {
   struct Point {
     Mat3<T> deformation_gradient, cofactor;
     T i1, j;
-    T w, q;  // of the stress
+    T w, q;  // 2 W_1 and W_J, for the stress
     T four_w11;
     Coefficients<T> stiffness;
     T parameters[2];
@@ -145,9 +145,11 @@ struct InvariantLaw {
     return node;
   }
 
+  /// Returns P a from P. The two terms cancel in P for all nodes alike; with w F a + q cof F a, rounding errors of the
+  /// modulus would not add up to zero over the nodes.
   template <class T>
   TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {
-    return a.moved * p.w + a.area * p.q;
+    return stress(p) * a.gradient;
   }
 
   template <class T>
@@ -187,13 +189,6 @@ struct InvariantLaw {
     return {gradient, moved, area, gradient * p.stiffness.w, moved * p.four_w11, area * p.stiffness.wjj, {}};
   }
 
-  /// Returns what to add to an eigenvalue that lies `missing` below zero: as much if that is little against the other
-  /// stiffness, twice as much if it is a lot.
-  template <class T>
-  TM_HOST_DEVICE static T raise(T missing, T other) {
-    return missing + missing * (missing / maximum(T(missing + other), T(kTiny)));
-  }
-
   /// Returns a bound of the largest eigenvalue of FᵀF from above (side 1), or of the smallest from below (side −1).
   template <class T>
   TM_HOST_DEVICE static T extreme_square(const Mat3<T>& f, T side) {
@@ -225,10 +220,10 @@ struct InvariantLaw {
     const T square = maximum(extreme_square(p.deformation_gradient, side), T(kMinVolume * kMinVolume));
     // J / σ2² is (σ0 σ1)² / J, so I2 / J is a bound too: a better one if σ2 is small.
     const T s = select_greater(q, T(0), minimum(T(j / square), T(i2 / j)), square_root(square));
-    const T raised = raise(maximum(T(absolute(q) * s - w), T(0)), w);
-    const T to_q = side * T(0.5) * raised / s, w_now = w + T(0.5) * raised, q_now = q + to_q;
+    const T missing = maximum(T(absolute(q) * s - w), T(0));
+    const T to_q = side * missing / s, w_now = w + missing, q_now = q + to_q;
     // If (1) moved changes of shape, a smaller β leaves the change of volume as it was near rest.
-    const T to_beta = -select_greater(q, T(0), T(raised / maximum(i2, T(kTiny))), T(0));
+    const T to_beta = -select_greater(q, T(0), T(T(2) * missing / maximum(i2, T(kTiny))), T(0));
     const T beta = p.stiffness.wjj + q / j + to_beta;
 
     // (2) in numbers of order one: A σ² = a σ² + b.
@@ -243,8 +238,8 @@ struct InvariantLaw {
     const T with_w11 = product + h * sum2;
     const T inverse = e * (sum0 * with_w11 - h * sum1 * sum1);
     const T least = -size * product * with_w11 / maximum(inverse, T(kTiny));  // β*
-    // Only what changes is added, so that a positive stiffness keeps its bits.
-    return {w_now, q_now, p.stiffness.wjj + (to_beta + raise(maximum(T(least - beta), T(0)), w_now) - to_q / j)};
+    // The sum of all changes is added, so that a stiffness without missing parts keeps its bits.
+    return {w_now, q_now, p.stiffness.wjj + (to_beta + T(2) * maximum(T(least - beta), T(0)) - to_q / j)};
   }
 
   /// Returns the coefficients for any F.
