@@ -105,10 +105,10 @@ struct StepHistory {
   double largest_force_squared = 0;           ///< see solver::newton_step
 };
 
-/// Where a blade point has cut up to at the end of a step (view::BladeReport).
+/// The front of a blade point at the end of a step (view::BladeReport).
 struct BladeFront {
   Vec3<double> rest_m = Vec3<double>::Zero();
-  std::uint32_t element = view::kNoTetrahedron;  ///< of the scene; kNoTetrahedron: it cuts nothing
+  std::uint32_t element = view::kNoTetrahedron;  ///< numbered in the scene; kNoTetrahedron: it cuts nothing
   double dissipated_j = 0;                       ///< work of fracture in the step
 };
 

@@ -85,7 +85,7 @@ TM_HOST_DEVICE bool has_event(const Real* memory, view::BladeEvent event) {
   return static_cast<std::uint32_t>(memory[view::kBladeEvent]) == event;
 }
 
-/// Where a row is when the step ends.
+/// Returns where a row is when the step ends.
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> position_at_end(const view::StateView<Real>& state, std::uint32_t row) {
   return view::position(state, row) + view::beyond(state, row);

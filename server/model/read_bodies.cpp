@@ -19,7 +19,7 @@ namespace {
 
 /// From 37 to 100 °C soft tissue takes 0.24 J/mm³, and the 70 % of it that are water 1.6 J/mm³ to boil off.
 constexpr double kDefaultAblationJPerM3 = 2e9;
-/// Liver under a blade, 187 to 225 J/m² (docs/choosing.md).
+/// Liver under a blade, 187 to 225 J/m² (docs/decisions/blades.md).
 constexpr double kDefaultToughnessJPerM2 = 200;
 
 /// Refuses lists that are longer than the limits of the server.

@@ -198,7 +198,7 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) { return s.generate_contacts(); }},
   {StageKind::kBeginLinks, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "begin links", "displacement", "empty lists of links, boxes around surfaces",
-   "bodies touch each other or are attached to each other",
+   "bodies touch or are attached to each other, or a blade cuts",
    [](const StageSizes& s) { return s.has_links(); },
    [](const StageSizes& s) {
      const double places = static_cast<double>(s.m.links.leaf_triangles.size());  // leaves and groups both read them
@@ -206,7 +206,7 @@ inline constexpr StageInfo kStages[] = {
    }},
   {StageKind::kFindLinks, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "find links", "displacement, velocity, boxes, friction slips, broken springs", "links, their lists",
-   "bodies touch each other or are attached to each other",
+   "bodies touch or are attached to each other, or a blade cuts",
    [](const StageSizes& s) { return s.has_links(); },
    [](const StageSizes& s) { return s.find_links(); }},
   {StageKind::kBeginEdges, Phase::kEvaluate, Scope::kScene, Communication::kNone,
@@ -278,7 +278,7 @@ inline constexpr StageInfo kStages[] = {
    }},
   {StageKind::kAssembleLinks, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "assemble links", "links, velocity", "matrix diagonal, right-hand side",
-   "bodies touch each other or are attached to each other",
+   "bodies touch or are attached to each other, or a blade cuts",
    [](const StageSizes& s) { return s.has_links(); },
    [](const StageSizes& s) {
      const double links = s.m.links.count();
@@ -348,8 +348,8 @@ inline constexpr StageInfo kStages[] = {
      return Cost{s.contacts * s.real * (1 + slips), s.contacts};
    }},
   {StageKind::kMeasureLinks, Phase::kEnd, Scope::kScene, Communication::kReduces,
-   "measure links", "links, velocity, tools", "broken springs, friction slips, report",
-   "bodies touch each other or are attached to each other",
+   "measure links", "links, velocity, tools", "broken springs, friction slips, anchors of blades, report",
+   "bodies touch or are attached to each other, or a blade cuts",
    [](const StageSizes& s) { return s.has_links(); },
    [](const StageSizes& s) {
      const double links = s.m.links.count();

@@ -24,7 +24,7 @@ enum BladeMemory : std::uint32_t {
 };
 enum BladeEvent : std::uint32_t { kBladeNothing, kBladeEntered, kBladeLeft };
 
-/// Where a blade point has cut up to at the end of a step.
+/// The front of a blade point: the place up to which it has cut at the end of a step.
 template <class Real>
 struct BladeReport {
   Real rest_m[3];             // in the bodies at rest; beside tissue it goes on as the tetrahedron next to it does
@@ -35,7 +35,7 @@ struct BladeReport {
 template <class Real>
 struct BladesView {
   std::uint32_t blade_count;
-  std::uint32_t point_count;  // of all blades
+  std::uint32_t point_count;  // points of all blades
   std::uint32_t patch_count;
 
   const std::uint32_t* tools;         // [blade_count] places in ContactView::tools

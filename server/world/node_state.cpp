@@ -283,7 +283,7 @@ std::vector<double> blade_points_of(const Model& m, const std::vector<double>& l
   const double* found = memory + points * view::kBladeMemory;
   for (std::size_t point = 0; point < points; ++point, memory += view::kBladeMemory, found += patches) {
     out.insert(out.end(), memory, memory + view::kBladeMemory);
-    double first = 0;  // of the patches that found one, as contact::take_anchor chooses
+    double first = 0;  // the lowest one, as contact::take_anchor chooses
     for (std::size_t patch = 0; patch < patches; ++patch) {
       if (found[patch] > 0 && (first == 0 || found[patch] < first)) first = found[patch];
     }

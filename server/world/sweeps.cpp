@@ -97,7 +97,7 @@ void BladeSweeps::add_ways(Blade& blade, std::vector<SweptWay>& out) {
     std::uint32_t body;
     bool operator==(const Run&) const = default;
   };
-  std::vector<Run> open;  // of `ways`, which end at the position before
+  std::vector<Run> open;  // those of `ways`, which end at the position before
   std::vector<std::size_t> ways;
   for (std::size_t position = 1; position < blade.positions; ++position) {
     const Point *a = blade.at(position - 1), *b = blade.at(position);

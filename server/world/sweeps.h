@@ -56,7 +56,7 @@ class BladeSweeps {
   static void add_ways(Blade& blade, std::vector<SweptWay>& out);
 
   std::vector<Blade> blades_;
-  std::vector<Point> now_;  // of one blade, in `take`
+  std::vector<Point> now_;  // the present position of one blade
   bool news_ = false;
   double fracture_j_ = 0;
 };

@@ -108,7 +108,7 @@ TEST_P(Blades, ChangeTheMomentumOfAFreeBlockByTheirForceAlone) {
 }
 
 TEST_P(Blades, KeepTheirForceWhileTheyStandStill) {
-  const BladeScene of;
+  const BladeScene of{.selective = true};
   const auto world = start(tests::block_with_scalpel(of));
   for (int i = 0; i < 160; ++i) ASSERT_TRUE(move_and_step(*world, {0.06 * of.dt_s, 0, 0}));
   const double limit_n = of.toughness_j_per_m2 * of.width_m, fracture_j = world->sweeps().fracture_j();

@@ -55,7 +55,7 @@ def block(kind: str = "tetrahedron") -> tm.Scene:
 def test_a_blade_feels_toughness_times_width(server: tm.Server) -> None:
     with server.load(block(), lockstep=True) as scene:
         for step in range(30):
-            scene.move_tool("blade", (-0.002 + 1e-3 * step, -0.001, 0.0103))
+            scene.move_tool("blade", (-0.002 + 1e-3 * step, -0.001, 0.0103), (0.5**0.5, -(0.5**0.5), 0, 0))
             scene.step(1)
         feedback = scene.feedback("blade")
         assert feedback.force_n[0] == pytest.approx(-50 * 0.01, rel=0.15)

@@ -11,7 +11,7 @@
 namespace tensormass::tests {
 
 struct BladeScene {
-  double width_m = 0.01;  ///< of the block along y; each of the inner 24 of 32 blade points owns a 24th of it
+  double width_m = 0.01;  ///< along y; each of the inner 24 of 32 blade points owns a 24th of it
   double young_modulus_pa = 20e3;
   double toughness_j_per_m2 = 20;
   double dt_s = 1.0 / 960;
@@ -19,7 +19,7 @@ struct BladeScene {
   bool is_free = false;  ///< nothing holds the block, and it does not fall
   bool selective = false;
   std::uint32_t threads = 1;
-  double tolerance = 1e-9;    ///< of the solve, in double precision
+  double tolerance = 1e-9;    ///< that of the solve, in double precision
   double points_width_m = 0;  ///< 0: the edge is wider than the block, else this wide between its ends
 };
 constexpr double kBlockLengthM = 0.04, kBlockHeightM = 0.02, kBladeThicknessM = 0.4e-3;

@@ -11,9 +11,10 @@
 
 /// The interface of a tool's kind: the shape that touches tissue.
 ///
-/// There are two families. A *thin* tool is a rigid core and a radius r: its surface is at the distance r from the
+/// There are three families. A *thin* tool is a rigid core and a radius r: its surface is at the distance r from the
 /// core. A point makes a sphere, a segment a capsule, a bent line a retractor. A *solid* (physics/tool/solid.h) is a
-/// volume, given by its signed distance alone: a box, a plane, a mesh.
+/// volume, given by its signed distance alone: a box, a plane, a mesh. A *blade* (contact/blades.h) has no contact
+/// points: it cuts. Where it must count as one of the others, it is a solid.
 ///
 ///        r  ______________          c0, c1  core points
 ///       ___/              \___      x       a point of the scene [m]

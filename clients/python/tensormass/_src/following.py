@@ -14,7 +14,7 @@ from google.protobuf.message import DecodeError
 
 from tensormass._shared.errors import InternalError
 from tensormass._shared.vectors import Vector, finite_numbers, quaternion, vector3
-from tensormass.v1 import control_pb2, recording_pb2
+from tensormass.v1 import control_pb2, recording_pb2, stream_pb2
 
 Pose = tuple[Vector, Vector | None, Vector] | tuple[Vector, Vector | None, Vector, float]
 """Position [3] m, orientation w, x, y, z or None, joint values [rad or m]."""
@@ -25,6 +25,12 @@ _STEPS_A_CALL = 500
 _CHECKS_HZ = 4.0
 # Before the message of a snapshot; recording.proto describes it.
 _SNAPSHOT_HEADER_BYTES = 32
+
+
+def has_blades(topology: stream_pb2.Topology) -> bool:
+    """Returns whether a tool cuts. A replay makes the cuts of its recording and none of its own, so such a scene is
+    followed step by step."""
+    return any(shape.tool.HasField("scalpel") for shape in topology.tools)
 
 
 class Followed(NamedTuple):
