@@ -13,7 +13,7 @@
 #   FOLDER=name    folder of tests/ for `make test-folder`; TESTS=pattern runs only tests with such names
 #   SUITE=trixie   Debian release in which `make wheel-only` tries the wheel (default: bookworm)
 #   WHOLE=1       `make images` compiles in the bare Debian, too (CUDA=OFF: without the CUDA backend)
-#   FUZZ_ARGS=...  arguments of `make fuzz`, such as '--seconds 600 scene'
+#   FUZZ_ARGS=...  arguments of `make fuzz` for Python, such as '--seconds 600 scene'; FUZZ_SECONDS=n for each C++ decoder
 #   TEST_ARGS=...  test runners for `make test`, as tests/run.sh names them (default: all)
 
 SHELL := bash
@@ -27,6 +27,7 @@ SCENE ?= demo
 BACKEND ?= cpu
 RUN_ARGS ?=
 FUZZ_ARGS ?=
+FUZZ_SECONDS ?= 60
 TEST_ARGS ?=
 SUITE ?= bookworm
 WHOLE ?=
@@ -201,11 +202,13 @@ asan: setup ## Run the C++ tests under the address and undefined-behaviour sanit
 tsan: setup ## Run the C++ tests under the thread sanitizer
 	@$(MAKE) sanitized NAME=tsan SANITIZE=thread
 
-.PHONY: sanitized
-sanitized:
+.PHONY: sanitized sanitized-build
+sanitized-build:
 	@cmake -S . -B build-$(NAME) -G Ninja -DTENSORMASS_CUDA=OFF -DTENSORMASS_SANITIZE=$(SANITIZE) --log-level=NOTICE \
 	  -DTENSORMASS_CARGO_TARGET_DIR=$(CURDIR)/$(BUILD)/server/bus/zenoh/cargo
-	@ninja -C build-$(NAME) -j $(JOBS)
+	@ninja -C build-$(NAME) -j $(JOBS) $(SANITIZED)
+
+sanitized: sanitized-build
 	@TSAN_OPTIONS="suppressions=$(CURDIR)/tests/support/tsan_suppressions.txt ignore_noninstrumented_modules=1" \
 	  UBSAN_OPTIONS="halt_on_error=1 print_stacktrace=1" \
 	  ctest --test-dir build-$(NAME) -j $(JOBS) --output-on-failure
@@ -217,7 +220,10 @@ format: setup-test ## Format C++ and Python
 	@clang-format -i $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
 	@cd clients/python && ruff format . ../../tests ../../examples
 
-fuzz: setup-test python ## Mutate inputs of each Python decoder and mesh files (FUZZ_ARGS, COUNT, SEED); failures: tests/fuzz/inputs
+fuzz: setup-test python ## Mutate inputs of each decoder: C++ under sanitizers, Python, mesh files (FUZZ_ARGS, COUNT, SEED); failures: tests/fuzz/inputs
+	@$(MAKE) sanitized-build NAME=asan SANITIZE=address,undefined SANITIZED=fuzz_tests
+	@UBSAN_OPTIONS="halt_on_error=1 print_stacktrace=1" FUZZ_SECONDS=$(FUZZ_SECONDS) FUZZ_SEED=$(SEED) \
+	  FUZZ_KEEP=$(CURDIR)/tests/fuzz/inputs build-asan/tests/fuzz_tests
 	@cd tests && python -m fuzz $(FUZZ_ARGS)
 	@PYTHONPATH=tests/python python tests/python/mesh_mutations.py --count $(COUNT) --seed $(SEED)
 
