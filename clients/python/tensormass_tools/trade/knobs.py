@@ -313,7 +313,7 @@ class Knobs:
         self._add("precision", "of the numbers", precision, ("float", "double"))
 
     def _find_contact_knob(self) -> None:
-        methods = {tool.contact_method or scene_pb2.CONTACT_METHOD_PENALTY for tool in self.message.tools}
+        methods = {tool.contact_method or edit_pb2.CONTACT_METHOD_PENALTY for tool in self.message.tools}
         if len(methods) != 1:
             self.without["contact_method"] = "the tools differ" if methods else "the scene has no tools"
         else:
