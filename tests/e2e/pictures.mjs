@@ -1,6 +1,6 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [dissect] [burn] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [dissect] [burn] [cut] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
 //
 // The default is all of them.
 //
@@ -20,6 +20,7 @@ const { chromium } = createRequire(join(ROOT, "clients", "web", "package.json"))
 const HANDS = ["retract", "grasp", "table", "demo-abdomen"];
 const PAGES = {
   burn: takeBurn,
+  cut: takeCut,
   demo: takeDemo,
   dissect: takeDissect,
   textured: takeTextured,
@@ -35,6 +36,8 @@ const RECORDED_S = 14;
 /** Step of `burn` after which its hand draws back, and x that it then goes below [m]. */
 const BURNT_STEP = 400;
 const DRAWN_BACK_M = -0.105;
+/** Step of `cut` in which its hand draws the edge through the organ. */
+const CUT_STEP = 300;
 const LONGEST_WAIT_S = 180;
 const POLLING_MS = 250;
 const QUALITY = process.env.QUALITY ?? "high";
@@ -182,6 +185,23 @@ async function takeBurn() {
     };
     await page.waitForFunction(drewBack, [BURNT_STEP, DRAWN_BACK_M], { polling: POLLING_MS });
     await save(page, "burn");
+  });
+}
+
+/** The incision of the scene `cut`, and the force on the scalpel in it. */
+async function takeCut() {
+  await withScene("cut", async (url) => {
+    const page = await open(url, WIDE);
+    await hideReadings(page);
+    await page.mouse.move(480, 340);
+    await page.mouse.down();
+    await page.mouse.move(440, 440, { steps: 4 });
+    await page.mouse.up();
+    for (let turn = 0; turn < 8; turn += 1) {
+      await page.mouse.wheel(0, -120);
+    }
+    await page.waitForFunction((step) => window.tensormass.state().step >= step, CUT_STEP, { polling: POLLING_MS });
+    await save(page, "cut");
   });
 }
 
