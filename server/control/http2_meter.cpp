@@ -17,11 +17,16 @@ constexpr std::uint8_t kEndStream = 0x1, kEndHeaders = 0x4, kPadded = 0x8;
 }  // namespace
 
 bool Http2Meter::Bucket::take(double most, double per_s, Time now) {
-  left = std::min(most, left + per_s * std::chrono::duration<double>(now - since).count());
-  since = now;
+  (void)spend(0, most, per_s, now);
   if (left < 1) return false;
   left -= 1;
   return true;
+}
+
+bool Http2Meter::Bucket::spend(double cost, double most, double per_s, Time now) {
+  left = std::min(most, left + per_s * std::chrono::duration<double>(now - since).count()) - cost;
+  since = now;
+  return left >= 0;
 }
 
 Http2Meter::Http2Meter(std::atomic<std::uint64_t>& half_sent, const Messages& messages, Time now)

@@ -39,12 +39,17 @@ class Http2Meter {
     double left;
     Time since;
     bool take(double most, double per_s, Time now);
+    /// Takes what an event has cost. Returns false if more than all was taken.
+    bool spend(double cost, double most, double per_s, Time now);
   };
   /// What one client may do: shared by all connections of a key, because a client could open many of them.
   struct Budget {
     explicit Budget(Time now)
-        : resets{limits::kMaxResetsAtOnce, now}, control_frames{limits::kMaxControlFramesAtOnce, now} {}
+        : resets{limits::kMaxResetsAtOnce, now},
+          control_frames{limits::kMaxControlFramesAtOnce, now},
+          cpu{limits::kMaxRelayCpuAtOnceS, now} {}
     Bucket resets, control_frames;
+    Bucket cpu;  // [s], counted by the relay for keys alone
     std::size_t streams = 0;
   };
 

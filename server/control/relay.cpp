@@ -10,6 +10,7 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <ctime>
 #include <new>
 #include <utility>
 
@@ -156,6 +157,22 @@ std::string Relay::name_of_peer(std::string_view peer) {
   return id < peer.size() ? std::string(peer.substr(id)) : std::string();
 }
 
+double thread_cpu_s() {
+  timespec used{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &used);
+  return static_cast<double>(used.tv_sec) + 1e-9 * static_cast<double>(used.tv_nsec);
+}
+
+std::string_view Relay::charge(const Connection& connection) {
+  if (guard_.tls == nullptr) return {};
+  const double before = std::exchange(charged_cpu_s_, guard_.cpu_s());
+  if (connection.key == nullptr) return {};
+  Http2Meter::Bucket& left = connection.key->budget->cpu;
+  if (left.spend(charged_cpu_s_ - before, limits::kMaxRelayCpuAtOnceS, limits::kMaxRelayCpuShare, Clock::now()))
+    return {};
+  return "more than kMaxRelayCpuShare of the relay's CPU time for one key";
+}
+
 void Relay::run() {
   name_thread("relay");
   std::array<epoll_event, 64> events;
@@ -163,6 +180,7 @@ void Relay::run() {
     const int period_ms = static_cast<int>(std::chrono::milliseconds(kCheckPeriod).count());
     const int ready = epoll_wait(poll_.get(), events.data(), static_cast<int>(events.size()),
                                  connections_.empty() && leaving_.empty() ? -1 : period_ms);
+    if (guard_.tls != nullptr) charged_cpu_s_ = guard_.cpu_s();
     try {
       for (int i = 0; i < ready; ++i) {
         const std::uint64_t key = events[static_cast<std::size_t>(i)].data.u64;
@@ -176,7 +194,13 @@ void Relay::run() {
           discard(key / 2);
           continue;
         }
-        if (carry(*found->second) == Outcome::kGoesOn) {
+        Outcome outcome = carry(*found->second);
+        if (const std::string_view why = charge(*found->second); !why.empty() && outcome == Outcome::kGoesOn) {
+          say_goodbye(*found->second, why);
+          refuse_(found->second->who(), why);
+          outcome = Outcome::kEnded;
+        }
+        if (outcome == Outcome::kGoesOn) {
           wait_for(found->first, *found->second);
         } else {
           close(found);

@@ -19,11 +19,16 @@
 
 namespace tensormass::control {
 
+/// CPU time that the calling thread has used [s].
+double thread_cpu_s();
+
 /// How connections are guarded by keys.
 struct RelayGuard {
   const TlsContext* tls = nullptr;  ///< nullptr: plain text, and nobody is asked who it is
   /// Whether a client still has its key; must not block.
   std::function<bool(std::string_view id)> knows = nullptr;
+  /// CPU time of the calling thread [s].
+  double (*cpu_s)() = &thread_cpu_s;
 };
 
 /// Carries the bytes of admitted connections to gRPC and back, and closes a connection that passes a limit of HTTP/2.
@@ -38,6 +43,9 @@ struct RelayGuard {
 /// by the name of the client's certificate, without keys by its address (name_of_peer), because the socket pair's other
 /// end has that name. Connections that shake hands have limits of their own, so that peers without a key use up none of
 /// those with one.
+///
+/// With keys, the CPU time of this thread that a client costs has a bound, too: bytes, frames and handshakes all cost
+/// it, and all clients share it.
 ///
 /// When there are too many connections, the one ends that has been without a call for longest, so that peers that only
 /// hold connections keep nobody out. gRPC's clients connect again by themselves.
@@ -123,6 +131,8 @@ class Relay {
   bool connect_inner(Connection& connection);
   /// Closes the connection that has been without a call for longest. Returns false if each has one.
   bool make_room();
+  /// Charges the CPU time since the last call to the connection's key. Returns why the connection must end, or "".
+  std::string_view charge(const Connection& connection);
   /// Gives the connection what its key has left. Returns false beyond kMaxConnectionsPerKey.
   bool join_key(Connection& connection);
   /// Returns the connection after the one that it closes.
@@ -151,6 +161,7 @@ class Relay {
   std::map<std::uint64_t, Leaving> leaving_;  // by the id that the connection had
   std::uint64_t next_id_ = 1;
   std::chrono::steady_clock::time_point next_check_{};
+  double charged_cpu_s_ = 0;  // guard_.cpu_s at the last charge
   std::thread thread_;
 };
 

@@ -27,6 +27,9 @@ inline constexpr std::size_t kMaxHeaderBlockBytes = std::size_t{64} << 10;
 inline constexpr double kMaxResetsAtOnce = 48, kMaxResetsPerS = 24;
 /// Frames of PING, SETTINGS and PRIORITY, in the same way.
 inline constexpr double kMaxControlFramesAtOnce = 1000, kMaxControlFramesPerS = 100;
+/// CPU time of the relay's thread that the connections of a key may cost: so much at once [s], and after that such a
+/// share of it. All bytes, frames and handshakes of a client cost it. Beyond it the key's connections are closed.
+inline constexpr double kMaxRelayCpuAtOnceS = 10, kMaxRelayCpuShare = 0.5;
 /// Bytes of messages that have not arrived as a whole, of all connections, unless `--max-message-mib` says otherwise;
 /// and so of the largest message. Beyond it the connection ends that holds most for longest. Ten million tetrahedra
 /// fit.

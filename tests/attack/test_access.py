@@ -492,11 +492,14 @@ def test_half_a_handshake_holds_nothing(one: Guarded) -> None:
 
 
 @contextlib.contextmanager
-def connected(daemon: Guarded, keys: ClientKeys) -> Iterator[ssl.SSLSocket]:
+def connected(
+    daemon: Guarded, keys: ClientKeys, newest: ssl.TLSVersion = ssl.TLSVersion.MAXIMUM_SUPPORTED
+) -> Iterator[ssl.SSLSocket]:
     """A connection to the control plane with the keys of a client, without gRPC."""
     context = ssl.create_default_context(cadata=keys.authority)
     context.check_hostname = False
     context.set_alpn_protocols(["h2"])
+    context.maximum_version = newest
     with tempfile.NamedTemporaryFile("w") as file:
         file.write(keys.certificate + keys.private_key)
         file.flush()
@@ -507,6 +510,16 @@ def connected(daemon: Guarded, keys: ClientKeys) -> Iterator[ssl.SSLSocket]:
         context.wrap_socket(plain, server_hostname=host) as secure,
     ):
         yield secure
+
+
+def test_older_tls_is_refused(one: Guarded) -> None:
+    with connected(one, one.keys["viewer"]) as new:
+        assert new.version() == "TLSv1.3"
+    with (
+        pytest.raises((ssl.SSLError, ConnectionError)),
+        connected(one, one.keys["viewer"], newest=ssl.TLSVersion.TLSv1_2) as old,
+    ):
+        old.recv(1)
 
 
 @pytest.mark.attack("one key opens connections without end", "512, which left none for other keys")

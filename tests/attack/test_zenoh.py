@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import os
 import socket
 import threading
 import time
@@ -30,6 +31,8 @@ from tensormass._src.poses import PoseSequence
 from tensormass.v1 import stream_pb2
 
 SCENE = "tensormass/local/block"
+REQUESTS_AT_ONCE, REQUESTS_PER_S = 4096, 256
+"""kMaxZenohRequestsAtOnce and kMaxZenohRequestsPerS of server/core/bus_limits.h."""
 FEEDBACK, POSE = f"{SCENE}/tool/probe/feedback", f"{SCENE}/tool/probe/pose"
 IGNORE: zenoh.handlers.Callback[object] = zenoh.handlers.Callback(lambda _: None, indirect=False)
 STREAMS = (f"{SCENE}/frame", f"{SCENE}/topology", f"{SCENE}/status", FEEDBACK)
@@ -341,13 +344,15 @@ def test_who_asks_and_does_not_read_delays_nobody(
     before = refused_peers(server)
     meddlers = [Meddler(server) for _ in range(6)]
     ended = threading.Event()
+    asked = dict.fromkeys(meddlers, 0)
 
-    def ask(session: zenoh.Session) -> None:
+    def ask(meddler: Meddler) -> None:
         with contextlib.suppress(zenoh.ZError):
             while not ended.is_set():
-                session.get("tensormass/local/**", IGNORE, congestion_control=zenoh.CongestionControl.BLOCK)
+                asked[meddler] += 1
+                meddler.session.get("tensormass/local/**", IGNORE, congestion_control=zenoh.CongestionControl.BLOCK)
 
-    threads = [threading.Thread(target=ask, args=(meddler.session,), daemon=True) for meddler in meddlers]
+    threads = [threading.Thread(target=ask, args=(meddler,), daemon=True) for meddler in meddlers]
     answers: list[float] = []  # when a new pose was answered
     with stranger(server) as hand:
         heard = Heard(hand, FEEDBACK)
@@ -370,7 +375,14 @@ def test_who_asks_and_does_not_read_delays_nobody(
             for meddler, thread in zip(meddlers, threads, strict=True):
                 meddler.stop_reading()
                 thread.start()
-            wait_for("the end of those who ask", is_cut)
+            begin = time.monotonic()
+            try:
+                wait_for("the end of those who ask", is_cut)
+            except AssertionError:
+                allowed = REQUESTS_AT_ONCE + REQUESTS_PER_S * (time.monotonic() - begin)
+                if min(asked.values()) < allowed and os.getloadavg()[0] > (os.cpu_count() or 1):
+                    pytest.skip(f"this machine asks {min(asked.values())} times in the time for {allowed:.0f}")
+                raise
             last = len(answers)
             wait_for("the hand's poses", lambda: answered_more_than(last))
         finally:

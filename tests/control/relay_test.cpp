@@ -304,5 +304,43 @@ TEST(Relay, AKeyHasAPartOfTheConnections) {
       std::chrono::seconds(20)));
 }
 
+/// A clock of CPU time that a second passes by in each call.
+double dear_cpu_s() {
+  static std::atomic<int> calls = 0;
+  return ++calls;
+}
+
+TEST(Relay, AKeyThatCostsTooMuchTimeIsCut) {
+  std::signal(SIGPIPE, SIG_IGN);  // as the daemon does, because OpenSSL writes without MSG_NOSIGNAL
+  const tests::KeyFolder keys("");
+  auto tls = TlsContext::make(keys.certificate(), keys.private_key(), keys.certificate());
+  ASSERT_TRUE(tls) << tls.error().message;
+  std::atomic<int> let_in = 0, dear = 0, other = 0;
+  std::vector<Descriptor> inner;
+  Relay relay(
+      [&](int descriptor) {
+        inner.emplace_back(descriptor);
+        ++let_in;
+      },
+      [&](std::string_view who, std::string_view why) {
+        const bool is_cpu = why == "more than kMaxRelayCpuShare of the relay's CPU time for one key";
+        ++(is_cpu && who == tests::KeyFolder::kName ? dear : other);
+      },
+      {.tls = tls->get(),
+       .knows = [](std::string_view name) { return name == tests::KeyFolder::kName; },
+       .cpu_s = &dear_cpu_s});
+  std::vector<Descriptor> clients;
+  EXPECT_TRUE(tests::eventually(
+      [&] {
+        connect_blocking(relay, clients);
+        shake_hands(keys, clients.back().get());
+        return dear > 0;
+      },
+      std::chrono::seconds(20)));
+  EXPECT_EQ(other, 0);
+  // Each connection costs a second or more, so those before were let in, about as many as kMaxRelayCpuAtOnceS.
+  EXPECT_LE(let_in, limits::kMaxRelayCpuAtOnceS + limits::kMaxRelayCpuShare * 20);
+}
+
 }  // namespace
 }  // namespace tensormass::control

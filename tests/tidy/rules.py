@@ -126,7 +126,7 @@ def untested_folders(paths: Iterable[PurePosixPath], folders: list[str]) -> list
 
 
 def orphans(sources: dict[PurePosixPath, str]) -> list[str]:
-    """Finds dead files: C++ sources that no CMakeLists.txt above them names, and headers that no code or build includes.
+    """Finds dead files: C++ sources that no CMakeLists.txt above them names, and headers that nothing includes.
 
     `sources`: path and text of every C++ file and CMakeLists.txt.
     """

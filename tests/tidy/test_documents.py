@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,6 +39,14 @@ def test_choosing_opens_with_a_decision_table_by_use() -> None:
 def test_architecture_opens_with_a_picture_of_threads_and_mailboxes() -> None:
     lines = lines_of("docs/architecture.md")[:SCREEN]
     assert any("mailboxes" in line and line.startswith("    ") for line in lines)
+
+
+def test_tests_that_documents_name_exist() -> None:
+    """A name may end in an ellipsis."""
+    tests = "\n".join(path.read_text("utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
+    for page in (ROOT / "docs").rglob("*.md"):
+        for name, rest in re.findall(r"`(test_\w+)(…?)`", page.read_text("utf-8")):
+            assert re.search(rf"def {name}{'' if rest else '[(]'}", tests), f"{page.name}: there is no {name}{rest}"
 
 
 def test_documents_are_pages_decisions_and_pictures() -> None:
