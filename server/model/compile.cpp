@@ -190,11 +190,8 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
     for (std::size_t b = 0; b < moduli.size(); ++b) static_cast<SurfaceModuli&>(model.bodies[b]) = moduli[b];
   }
   if (!links.empty()) {
-    model.links = make_links({.bodies = bodies,
-                              .links = links,
-                              .layout = model.layout,
-                              .contact = model.contact,
-                              .tools = model.tools});
+    model.links = make_links(
+        {.bodies = bodies, .links = links, .layout = model.layout, .contact = model.contact, .tools = model.tools});
   }
   const bool may_touch = !model.tools.empty() || !links.empty();
   if (may_touch && !model.iterates() && !model.quasi_static()) {  // else no step balances momentum
