@@ -99,7 +99,7 @@ class Instrument:
 
 
 def instruments() -> list[Instrument]:
-    """The tools that hands move in the built-in scenes, each kind once, but for those that burn what they press."""
+    """The tools that hands move in the built-in scenes, each kind once, except those that burn or cut."""
 
     def line(*ends: tuple[float, float, float]) -> FloatArray:
         return np.array(ends[0]) + np.linspace(0, 1, 17)[:, None] * (np.array(ends[-1]) - np.array(ends[0]))
@@ -119,7 +119,7 @@ def instruments() -> list[Instrument]:
     for scene in tm.builtin_scenes():
         for tool in movable_tools(SceneFile.read(scene).message()):
             kind = str(tool.WhichOneof("kind"))
-            if kind in found or tool.HasField("cautery"):
+            if kind in found or kind == "scalpel" or tool.HasField("cautery"):
                 continue
             shape = shape_of(tool)
             core, turn = cores[kind](shape)
