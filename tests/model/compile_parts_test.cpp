@@ -107,7 +107,8 @@ TEST_P(CompileParts, AreMadeAgainForAnotherCutIntoPatches) {
   const ContactSurface contact = make_contact_surface(read.bodies, layout);
   EXPECT_EQ(contact.triangle_rows, model.contact.triangle_rows);
   EXPECT_EQ(contact.incidence, model.contact.incidence);
-  const Links links = make_links({.bodies = read.bodies, .links = read.links, .layout = layout, .contact = contact});
+  const Links links = make_links(
+      {.bodies = read.bodies, .links = read.links, .layout = layout, .contact = contact, .tools = model.tools});
   EXPECT_EQ(links.rows, model.links.rows);
   EXPECT_EQ(links.candidates, model.links.candidates);
   EXPECT_EQ(links.spring_rows, model.links.spring_rows);
