@@ -236,8 +236,7 @@ TYPED_TEST(EveryMaterial, ProjectedStiffnessIsPsd) {
 }
 
 /// A stiffness that is already positive semi-definite is unchanged bitwise by the projection: in tension for every law.
-/// Laws in principal stretches keep it wherever it is positive; elsewhere negative eigenvalues change their sign. Laws
-/// in the invariants keep it except in strong expansion.
+/// Laws in principal stretches keep it wherever it is positive; elsewhere negative eigenvalues change their sign.
 TYPED_TEST(EveryMaterial, ProjectionKeepsAPositiveStiffness) {
   int unchanged = 0;
   for (const Mat3<double>& f : this->states()) {
@@ -255,13 +254,6 @@ TYPED_TEST(EveryMaterial, ProjectionKeepsAPositiveStiffness) {
         ++unchanged;
       }
     }
-    if constexpr (std::is_base_of_v<InvariantLaw<TypeParam>, TypeParam>) {
-      // The bound is sharp short of strong expansion.
-      if (point.q < 0 && testing::least_eigenvalue(consistent) > 1e-3 * consistent.norm()) {
-        EXPECT_EQ(positive, consistent) << "F =\n" << f;
-        ++unchanged;
-      }
-    }
   }
   std::uniform_real_distribution<double> stretch(1.1, 1.6), shear(-0.01, 0.01);
   for (int trial = 0; trial < 50; ++trial) {
@@ -271,54 +263,10 @@ TYPED_TEST(EveryMaterial, ProjectionKeepsAPositiveStiffness) {
     const Tangent consistent = testing::tangent<TypeParam>(point);
     if (testing::least_eigenvalue(consistent) < -1e-12 * consistent.norm()) continue;
     TypeParam::project_to_psd(point);
-    if constexpr (std::is_base_of_v<InvariantLaw<TypeParam>, TypeParam>) {
-      if (point.q >= 0) continue;
-    }
     EXPECT_EQ(testing::tangent<TypeParam>(point), consistent) << "F =\n" << f;
     ++unchanged;
   }
   EXPECT_GT(unchanged, 15);
-}
-
-/// Laws in the invariants have a projection of their own. For the whole law and for the parts of selective quadrature
-/// it must leave no negative eigenvalue, from rest to inversion; and near rest it must change little: nothing where the
-/// stiffness is positive, elsewhere at most twice what the absolute values of the eigenvalues would.
-TYPED_TEST(EveryMaterial, InvariantLawsRaiseWhatIsMissing) {
-  if constexpr (std::is_base_of_v<InvariantLaw<TypeParam>, TypeParam>) {
-    struct Part {
-      double poisson, deviatoric, volumetric;
-    };
-    for (const Part part :
-         {Part{0.45, 1, 1}, Part{0.45, 0.3, 0}, Part{0.45, 0, 1}, Part{-0.3, 1, 1}, Part{0.499, 0.7, 1}}) {
-      for (const double most : {0.003, 0.03, 0.1, 0.4, 0.95, 1.8}) {
-        double changes = 0, least_changes = 0;
-        int definite = 0, kept = 0;
-        for (int trial = 0; trial < 200; ++trial) {
-          const Mat3<double> f = random_deformation(this->random_, 1 - most, 1 + most);
-          if (kNeedsPositiveVolume<TypeParam> && f.determinant() <= 0) continue;
-          auto parameters = testing::parameters<TypeParam>(kYoungModulusPa, part.poisson);
-          TypeParam::scale_moduli(parameters.data(), part.deviatoric, part.volumetric);
-          auto point = TypeParam::at(f, parameters.data());
-          const Tangent consistent = testing::tangent<TypeParam>(point);
-          TypeParam::project_to_psd(point);
-          const Tangent positive = testing::tangent<TypeParam>(point);
-          ASSERT_GT(testing::least_eigenvalue(positive), -1e-12 * consistent.norm() - 1e-14 * positive.norm())
-              << "F =\n"
-              << f;
-          const auto values = Eigen::SelfAdjointEigenSolver<Tangent>(consistent).eigenvalues();
-          changes += (positive - consistent).norm();
-          least_changes += 2 * values.cwiseMin(0).norm();  // what absolute values change
-          if (values[0] > 1e-9 * consistent.norm()) {
-            ++definite;
-            kept += positive == consistent;
-          }
-        }
-        if (most > 0.1) continue;
-        EXPECT_LE(changes, 2 * least_changes) << "ν = " << part.poisson << ", strains to " << most;
-        EXPECT_GE(kept, 0.95 * definite - 1) << "ν = " << part.poisson << ", strains to " << most;
-      }
-    }
-  }
 }
 
 TYPED_TEST(EveryMaterial, FloatAgreesWithDouble) {

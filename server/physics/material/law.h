@@ -9,9 +9,9 @@
 
 /// The interface of a law of elasticity.
 ///
-/// A law is a struct of static functions of the deformation gradient F and of its parameters. They are pure. No branch
-/// on a value changes a result, because T is a number or a pack of numbers. The element pass (element/element.h) calls
-/// them for each quadrature point:
+/// A law is a struct of static functions of the deformation gradient F and of its parameters. They are pure and have no
+/// branch on values, because T is a number or a pack of numbers. The element pass (element/element.h) calls them for
+/// each quadrature point:
 ///
 ///   parameters ─► at(F, p) ─► Point ─┬─► energy, stress, second_piola
 ///                                    ├─► project_to_psd      (solver only; changes the Point)
@@ -55,8 +55,7 @@
 ///                          project_to_psd
 ///   project_to_psd(point)  makes the stiffness positive semi-definite for the solver. Laws in principal stretches take
 ///                          the absolute values of its eigenvalues (Chen et al. 2024): with zeros instead, only
-///                          inertia would hold a collapsed element, and a step could throw its nodes far. Laws in the
-///                          invariants approach that without eigenvectors (invariant_law.h). Energy,
+///                          inertia would hold a collapsed element, and a step could throw its nodes far. Energy,
 ///                          stress and the other parts are unchanged. Forces stay exact, so only the path to the
 ///                          equilibrium changes, not the equilibrium
 ///
