@@ -98,7 +98,7 @@ bool must_converge(const model::Model& m) { return m.quasi_static() && m.iterate
 
 /// Says whether a body has no fixed nodes, so that it may fall, or may lose a piece that then falls.
 bool may_fall(const model::Model& m) {
-  return m.edit_tables != nullptr ||
+  return m.editing.has_value() ||
          std::any_of(m.bodies.begin(), m.bodies.end(), [](const auto& body) { return body.fixed_node_count == 0; });
 }
 

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -134,6 +135,21 @@ TEST_P(Cutting, GoesOnFromWhereTheSceneIs) {
     EXPECT_NEAR(last.value(), 0.05 * 0.1, 0.002) << "the blade went through 5 cm of 10 cm";
     EXPECT_FALSE(last.text().empty());
   }
+}
+
+/// What is cut off falls as far as it does, and the scene goes on.
+TEST_P(Cutting, LetsAPieceFall) {
+  v1::Scene scene = beam(true, v1::QUADRATURE_FULL);
+  scene.clear_tools();
+  tests::set(*scene.mutable_gravity_m_per_s2(), 0, -9.81, 0);
+  const auto runner = load(scene);
+  ASSERT_TRUE(runner->edit(cut_at(0.1, 1, -1)));
+  const auto fallen = runner->step(static_cast<std::uint64_t>(std::lround(1.5 / scene.stepping().dt_s())));
+  ASSERT_TRUE(fallen) << fallen.error().message;
+  const std::vector<float> positions = items<float>(runner->frame()->positions());
+  float lowest_m = 0;
+  for (std::size_t i = 1; i < positions.size(); i += 3) lowest_m = std::min(lowest_m, positions[i]);
+  EXPECT_LT(lowest_m, -5);
 }
 
 TEST_P(Cutting, OnlyAppendsToWhatViewersHave) {
