@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include "core/assert.h"
+#include "model/pair_stiffness.h"
 #include "physics/element/element.h"
 #include "physics/lists.h"
 
@@ -37,9 +38,7 @@ Mat3<double> pair_stiffness(const ElementGroup& group, std::uint32_t place, std:
     if (!group.shares.empty()) {
       Law::scale_moduli(parameters.data(), group.shares[q].deviatoric, group.shares[q].volumetric);
     }
-    const auto point = Law::at(Mat3<double>(Mat3<double>::Identity()), parameters.data());
-    sum += Law::stiffness(point, Law::at_node(point, gradients.a[k]), Law::at_node(point, gradients.a[l])) *
-           gradients.weight;
+    sum += pair_stiffness_at_point<Law>(gradients.a[k], gradients.a[l], gradients.weight, parameters.data());
   }
   return sum;
 }

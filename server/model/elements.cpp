@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <map>
 #include <numeric>
@@ -13,6 +14,7 @@
 #include "model/clusters.h"
 #include "model/compile_parts.h"
 #include "model/cut_bodies.h"
+#include "model/pair_stiffness.h"
 #include "model/scene_input.h"
 #include "physics/element/element.h"
 
@@ -132,8 +134,17 @@ void add_constant_tensors(const matrix::Layout& layout, const Material& material
       if (index != material.law) return;
       Vec3<double> at_rest[Shape::kNodes];
       for (Vec3<double>& u : at_rest) u.setZero();
-      const auto tensors =
-          physics::element_tensors<Law>(rest, at_rest, material.parameters.data(), physics::Stiffness::kConsistent);
+      std::array<Mat3<double>, Shape::kNodes*(Shape::kNodes - 1) / 2> pairs;
+      for (Mat3<double>& pair : pairs) pair.setZero();
+      rest.template for_each_point<Law>(
+          at_rest, material.parameters.data(), [&](const auto& gradients, const Mat3<double>&, const double* own) {
+            for (int k = 0; k < Shape::kNodes; ++k) {
+              for (int l = k + 1; l < Shape::kNodes; ++l) {
+                pairs[static_cast<std::size_t>(physics::pair_index(Shape::kNodes, k, l))] +=
+                    pair_stiffness_at_point<Law>(gradients.a[k], gradients.a[l], gradients.weight, own);
+              }
+            }
+          });
       const auto add = [&](std::uint32_t slot, const Mat3<double>& block) {
         double* edges = out.constant_edges.data();
         for (std::uint32_t i = 0; i < 9; ++i) edges[layout.component(slot, i)] += block(i / 3, i % 3);
@@ -142,7 +153,7 @@ void add_constant_tensors(const matrix::Layout& layout, const Material& material
         const std::uint32_t row_k = layout.row_of_node[nodes[static_cast<std::size_t>(k)]];
         for (int l = k + 1; l < Shape::kNodes; ++l) {
           const std::uint32_t row_l = layout.row_of_node[nodes[static_cast<std::size_t>(l)]];
-          const Mat3<double>& edge = tensors.edge_stiffness[physics::pair_index(Shape::kNodes, k, l)];
+          const Mat3<double>& edge = pairs[static_cast<std::size_t>(physics::pair_index(Shape::kNodes, k, l))];
           layout.for_each_place(row_k, row_l, [&](std::uint32_t slot, bool transposed) {
             add(slot, transposed ? Mat3<double>(edge.transpose()) : edge);
           });
