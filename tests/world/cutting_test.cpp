@@ -137,7 +137,7 @@ TEST_P(Cutting, GoesOnFromWhereTheSceneIs) {
   }
 }
 
-/// What is cut off falls as far as it does, and the scene goes on.
+/// A piece that is cut off falls as far as it does, and the scene goes on.
 TEST_P(Cutting, LetsAPieceFall) {
   v1::Scene scene = beam(true, v1::QUADRATURE_FULL);
   scene.clear_tools();
