@@ -255,8 +255,10 @@ Result<ToolModel> read_tool(const v1::Tool& tool, std::span<const Eigen::Vector3
   });
   if (!shape) return invalid(fmt::format("{}: no kind that this server knows; give one of {}", where, known));
   TM_RETURN_IF_ERROR(*shape);
-  const double half_radius = out.contact_points == 0 ? kDefaultMaxSpeedMPerS : kMaxRadiiPerStep * out.radius_m / dt_s;
-  const double safe_speed = std::min(kDefaultMaxSpeedMPerS, half_radius);  // anchors of a blade follow any way
+  double safe_speed = kDefaultMaxSpeedMPerS;
+  if (out.contact_points > 0) {  // anchors of a blade follow any way
+    safe_speed = std::min(safe_speed, kMaxRadiiPerStep * out.radius_m / dt_s);
+  }
   TM_ASSIGN_OR_RETURN(speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : safe_speed, 1e-6,
                                          1e3, where + ".max_speed_m_per_s"));
   out.max_speed_m_per_s = speed;

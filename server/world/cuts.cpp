@@ -233,6 +233,17 @@ std::uint32_t next_order(const SceneCuts& cuts) {
   return last + 1;
 }
 
+/// Makes the next cut of a scene in one of its bodies.
+/// body: a copy of cuts[b], or the whole body
+Result<void> add_cut(SceneCuts& cuts, std::size_t b, std::unique_ptr<BodyCut> body, std::vector<mesh::CutEdge> edges,
+                     std::string_view where) {
+  if (auto made = body->make_cut(next_order(cuts), std::move(edges)); !made) {
+    return fail(made.error().code, fmt::format("{}: {}", where, made.error().message));
+  }
+  cuts[b] = std::move(body);
+  return {};
+}
+
 }  // namespace
 
 Result<SceneCuts> read_cuts(const v1::Scene& loaded, const v1::SceneAdjustments& wanted, const SceneCuts& present) {
@@ -306,10 +317,7 @@ Result<SceneCuts> cut_edges(const v1::Scene& loaded, const v1::SceneEdit& edit, 
     const auto b = static_cast<std::size_t>(found - loaded.bodies().begin());
     TM_ASSIGN_OR_RETURN(body, bodies.to_be_cut(b, out));
     TM_ASSIGN_OR_RETURN(edges, crossed_edges(*body, cut, where));
-    if (auto made = body->make_cut(next_order(out), std::move(edges)); !made) {
-      return fail(made.error().code, fmt::format("{}: {}", where, made.error().message));
-    }
-    out[b] = std::move(body);
+    TM_RETURN_IF_ERROR(add_cut(out, b, std::move(body), std::move(edges), where));
   }
   return out;
 }
@@ -331,10 +339,7 @@ Result<SceneCuts> cut_along(const v1::Scene& loaded, std::span<const SweptWay> w
     }
     if (crossed.edges().empty()) continue;
     TM_ASSIGN_OR_RETURN(edges, crossed.take(where));
-    if (auto made = body->make_cut(next_order(out), std::move(edges)); !made) {
-      return fail(made.error().code, fmt::format("{}: {}", where, made.error().message));
-    }
-    out[b] = std::move(body);
+    TM_RETURN_IF_ERROR(add_cut(out, b, std::move(body), std::move(edges), where));
     any = true;
   }
   return any ? std::move(out) : SceneCuts(present);

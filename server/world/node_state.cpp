@@ -274,12 +274,17 @@ void put_edge_pairs(const Model& m, std::span<const EdgePair> pairs, double* mem
   }
 }
 
+/// Reals of a layout that blade points remember (view::BladesView::reals).
+std::size_t blade_reals(const Model& m) {
+  return m.links.blades.point_count() * (view::kBladeMemory + std::size_t{m.layout.patch_count});
+}
+
 /// Returns what blade points remember. It follows what contacts do.
 std::vector<double> blade_points_of(const Model& m, const std::vector<double>& link_slips) {
   const std::size_t points = m.links.blades.point_count(), patches = m.layout.patch_count;
   std::vector<double> out;
   if (points == 0) return out;
-  const double* memory = link_slips.data() + link_slips.size() - points * (view::kBladeMemory + patches);
+  const double* memory = link_slips.data() + link_slips.size() - blade_reals(m);
   const double* found = memory + points * view::kBladeMemory;
   for (std::size_t point = 0; point < points; ++point, memory += view::kBladeMemory, found += patches) {
     out.insert(out.end(), memory, memory + view::kBladeMemory);
@@ -294,7 +299,7 @@ std::vector<double> blade_points_of(const Model& m, const std::vector<double>& l
 
 void put_blade_points(const Model& m, const std::vector<double>& blade_points, std::vector<double>& link_slips) {
   const std::size_t points = m.links.blades.point_count(), patches = m.layout.patch_count, begin = link_slips.size();
-  link_slips.resize(begin + points * (view::kBladeMemory + patches));
+  link_slips.resize(begin + blade_reals(m));
   for (std::size_t point = 0; point < points; ++point) {
     const double* from = blade_points.data() + kBladeReals * point;
     std::copy_n(from, std::size_t{view::kBladeMemory}, link_slips.data() + begin + view::kBladeMemory * point);

@@ -9,6 +9,7 @@
 #include "support/blades.h"
 #include "support/eventually.h"
 #include "support/on_runner.h"
+#include "support/recorded.h"
 #include "support/refused.h"
 
 /// What a scalpel sweeps becomes a cut, that recordings repeat and resets heal.
@@ -83,24 +84,12 @@ TEST_P(BladeCuts, RepeatToTheLastBit) {
     EXPECT_GT(area_m2, 1e-5);
     EXPECT_EQ(cut_m2(*second), area_m2);
 
-    v1::ReplaySceneRequest request;
-    request.set_scene_hash(started->start.scene_hash());
-    std::vector<v1::StateCheck> checks;
-    v1::RecordSceneResponse response;
-    while (started->recording->take(response)) {
-      request.mutable_steps()->MergeFrom(response.steps());
-      request.mutable_edits()->MergeFrom(response.edits());
-      checks.insert(checks.end(), response.checks().begin(), response.checks().end());
-    }
+    const auto [request, checks] = tests::take_recorded(*started);
     EXPECT_GT(request.edits_size(), 1) << "cuts are edits of the recording";
-    for (const v1::StateCheck& check : checks) request.add_check_indices(check.index());
     const auto other = load(scene);
     const auto replayed = other->replay(request);
     ASSERT_TRUE(replayed) << replayed.error().message;
-    ASSERT_EQ(static_cast<std::size_t>(replayed->checks_size()), checks.size());
-    for (std::size_t i = 0; i < checks.size(); ++i) {
-      EXPECT_EQ(replayed->checks(static_cast<int>(i)).hash(), checks[i].hash()) << "step " << checks[i].step();
-    }
+    tests::expect_repeated(*replayed, checks);
     EXPECT_EQ(cut_m2(*other), area_m2) << "a replay cuts once";
   }
 }

@@ -4,30 +4,18 @@
 
 #include <gtest/gtest.h>
 
+#include "support/http2.h"
+
 namespace tensormass::control {
 namespace {
 
 using namespace std::chrono_literals;
+using tests::http2::frame;
+using tests::http2::message;
 
 constexpr std::string_view kPreface = "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 constexpr int kData = 0, kHeaders = 1, kReset = 3, kPing = 6, kContinuation = 9;
 constexpr int kEndStream = 1, kEndHeaders = 4, kPadded = 8;
-
-std::string frame(int type, int flags, std::uint32_t stream, const std::string& payload = {}) {
-  std::string out;
-  for (const int shift : {16, 8, 0}) out += static_cast<char>(payload.size() >> shift);
-  out += static_cast<char>(type);
-  out += static_cast<char>(flags);
-  for (const int shift : {24, 16, 8, 0}) out += static_cast<char>(stream >> shift);
-  return out + payload;
-}
-
-/// The start of a message of gRPC, or all of it.
-std::string message(std::size_t size, std::size_t sent) {
-  std::string out(1, '\0');
-  for (const int shift : {24, 16, 8, 0}) out += static_cast<char>(size >> shift);
-  return out + std::string(sent, 'x');
-}
 
 class Http2MeterTest : public testing::Test {
  protected:

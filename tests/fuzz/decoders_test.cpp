@@ -26,6 +26,7 @@
 #include "control/scene_registry.h"
 #include "fuzz/mutate.h"
 #include "support/editing.h"
+#include "support/http2.h"
 #include "support/scenes.h"
 #include "tensormass/v1/control.pb.h"
 #include "tensormass/v1/recording.pb.h"
@@ -207,8 +208,9 @@ class Http2Target final : public Target {
     for (std::size_t i = random.below(40); i > 0; --i) {
       const std::uint32_t stream = static_cast<std::uint32_t>(random.below(4)) * 2 + 1;
       std::string payload(random.below(60), 'x');
-      if (random.below(2) == 0) payload = message(odd_integer(random), random.below(40));
-      std::string one = frame(random.below(11), random.below(64), stream, payload);
+      if (random.below(2) == 0) payload = tests::http2::message(odd_integer(random), random.below(40));
+      std::string one =
+          tests::http2::frame(static_cast<int>(random.below(11)), static_cast<int>(random.below(64)), stream, payload);
       if (random.below(8) == 0) mutate(one, random);
       bytes += part(random.below(3) != 0, one);
     }
@@ -243,19 +245,6 @@ class Http2Target final : public Target {
   static std::string part(bool of_client, const std::string& bytes) {
     const std::size_t head = 2 * bytes.size() + (of_client ? 1 : 0);
     return std::string{static_cast<char>(head / 256), static_cast<char>(head % 256)} + bytes;
-  }
-  static std::string frame(std::size_t type, std::size_t flags, std::uint32_t stream, const std::string& payload) {
-    std::string out;
-    for (const int shift : {16, 8, 0}) out += static_cast<char>(payload.size() >> shift);
-    out += static_cast<char>(type);
-    out += static_cast<char>(flags);
-    for (const int shift : {24, 16, 8, 0}) out += static_cast<char>(stream >> shift);
-    return out + payload;
-  }
-  static std::string message(std::uint64_t size, std::size_t sent) {
-    std::string out(1, '\0');
-    for (const int shift : {24, 16, 8, 0}) out += static_cast<char>(size >> shift);
-    return out + std::string(sent, 'x');
   }
 };
 

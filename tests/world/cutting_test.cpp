@@ -14,6 +14,7 @@
 
 #include "support/editing.h"
 #include "support/on_runner.h"
+#include "support/recorded.h"
 #include "support/refused.h"
 #include "world/runner.h"
 
@@ -221,16 +222,7 @@ TEST_P(Cutting, IsRecordedAndRepeatedToTheLastBit) {
       }
       ASSERT_TRUE(runner->step(2));
     }
-    v1::ReplaySceneRequest request;
-    request.set_scene_hash(started->start.scene_hash());
-    std::vector<v1::StateCheck> checks;
-    v1::RecordSceneResponse response;
-    while (started->recording->take(response)) {
-      request.mutable_steps()->MergeFrom(response.steps());
-      request.mutable_edits()->MergeFrom(response.edits());
-      checks.insert(checks.end(), response.checks().begin(), response.checks().end());
-    }
-    for (const v1::StateCheck& check : checks) request.add_check_indices(check.index());
+    const auto [request, checks] = tests::take_recorded(*started);
     const auto other = load(beam(in_double));
     const auto adjusted = other->adjust(started->start.adjustments());
     ASSERT_TRUE(adjusted) << adjusted.error().message;
@@ -238,11 +230,8 @@ TEST_P(Cutting, IsRecordedAndRepeatedToTheLastBit) {
     ASSERT_TRUE(restored) << restored.error().message;
     const auto replayed = other->replay(request);
     ASSERT_TRUE(replayed) << replayed.error().message;
-    ASSERT_EQ(static_cast<std::size_t>(replayed->checks_size()), checks.size());
     ASSERT_EQ(checks.size(), 24u);
-    for (std::size_t i = 0; i < checks.size(); ++i) {
-      EXPECT_EQ(replayed->checks(static_cast<int>(i)).hash(), checks[i].hash()) << "step " << checks[i].step();
-    }
+    tests::expect_repeated(*replayed, checks);
   }
 }
 

@@ -11,6 +11,7 @@
 
 #include "support/momentum.h"
 #include "support/on_runner.h"
+#include "support/recorded.h"
 #include "support/refused.h"
 #include "support/strands.h"
 #include "world/runner.h"
@@ -338,26 +339,15 @@ TEST_P(Dissection, IsRepeatedToTheLastBit) {
     EXPECT_EQ(third->positions("lower")->positions(), runner->positions("lower")->positions());
     EXPECT_EQ(third->frame()->broken_springs(), runner->frame()->broken_springs());
 
-    v1::ReplaySceneRequest request;
-    request.set_scene_hash(started->start.scene_hash());
-    std::vector<v1::StateCheck> checks;
-    v1::RecordSceneResponse response;
-    while (started->recording->take(response)) {
-      request.mutable_steps()->MergeFrom(response.steps());
-      request.mutable_edits()->MergeFrom(response.edits());
-      checks.insert(checks.end(), response.checks().begin(), response.checks().end());
-    }
+    const auto [request, checks] = tests::take_recorded(*started);
     EXPECT_EQ(request.edits_size(), 0) << "what a tool severs follows from its poses";
     EXPECT_EQ(request.steps_size(), 25);
     ASSERT_FALSE(checks.empty());
-    for (const v1::StateCheck& check : checks) request.add_check_indices(check.index());
     ASSERT_TRUE(other->restore(started->start.snapshot()));
     EXPECT_EQ(other->frame()->broken_springs().empty(), false);
     const auto replayed = other->replay(request);
     ASSERT_TRUE(replayed) << replayed.error().message;
-    for (std::size_t i = 0; i < checks.size(); ++i) {
-      EXPECT_EQ(replayed->checks(static_cast<int>(i)).hash(), checks[i].hash()) << "step " << checks[i].step();
-    }
+    tests::expect_repeated(*replayed, checks);
     EXPECT_EQ(replayed->status().broken_springs(), runner->status().broken_springs());
   }
 }

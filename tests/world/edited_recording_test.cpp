@@ -7,6 +7,7 @@
 
 #include "support/editing.h"
 #include "support/on_runner.h"
+#include "support/recorded.h"
 #include "support/refused.h"
 #include "world/runner.h"
 
@@ -62,29 +63,17 @@ TEST_P(EditScene, IsRecordedAndRepeatedToTheLastBit) {
       }
       ASSERT_TRUE(runner->step(2));
     }
-    v1::ReplaySceneRequest request;
-    request.set_scene_hash(started->start.scene_hash());
-    std::vector<v1::StateCheck> checks;
-    v1::RecordSceneResponse response;
-    while (started->recording->take(response)) {
-      request.mutable_steps()->MergeFrom(response.steps());
-      request.mutable_edits()->MergeFrom(response.edits());
-      checks.insert(checks.end(), response.checks().begin(), response.checks().end());
-    }
+    const auto [request, checks] = tests::take_recorded(*started);
     EXPECT_EQ(request.steps_size(), 60);
     EXPECT_GT(request.edits_size(), 20);
     ASSERT_FALSE(checks.empty());
-    for (const v1::StateCheck& check : checks) request.add_check_indices(check.index());
     const auto other = load(probed_beam(in_double));
     const auto restored = other->restore(started->start.snapshot());
     ASSERT_TRUE(restored) << restored.error().message;
     EXPECT_GT(restored->removed_mass_kg(), 0) << "a snapshot has what edits left";
     const auto replayed = other->replay(request);
     ASSERT_TRUE(replayed) << replayed.error().message;
-    ASSERT_EQ(static_cast<std::size_t>(replayed->checks_size()), checks.size());
-    for (std::size_t i = 0; i < checks.size(); ++i) {
-      EXPECT_EQ(replayed->checks(static_cast<int>(i)).hash(), checks[i].hash()) << "step " << checks[i].step();
-    }
+    tests::expect_repeated(*replayed, checks);
     EXPECT_EQ(replayed->status().removed_mass_kg(), runner->status().removed_mass_kg());
   }
 }

@@ -9,9 +9,9 @@
 
 /// The interface of a law of elasticity.
 ///
-/// A law is a struct of static functions of the deformation gradient F and of its parameters. They are pure and have no
-/// branch on values, because T is a number or a pack of numbers. The element pass (element/element.h) calls them for
-/// each quadrature point:
+/// A law is a struct of static functions of the deformation gradient F and of its parameters. They are pure. No branch
+/// on a value changes a result, because T is a number or a pack of numbers. The element pass (element/element.h) calls
+/// them for each quadrature point:
 ///
 ///   parameters ─► at(F, p) ─► Point ─┬─► energy, stress, second_piola
 ///                                    ├─► project_to_psd      (solver only; changes the Point)

@@ -131,11 +131,10 @@ class SceneHandle:
         if not len(poses):
             raise InvalidArgumentError("poses: expected one or more")
         if following.has_blades(self.topology()):
-            for pose in poses[:-1]:
+            for pose in poses:
                 self.move_tool(tool, *pose)
-                self.step()
-            self.move_tool(tool, *poses[-1])
-            return self.step()
+                status = self.step()
+            return status
         dt_s = defaults.dt_s(self.message if self.message is not None else scene_pb2.Scene())
         if self._followed is None:
             self._followed = following.Followed.of(self.snapshot())
