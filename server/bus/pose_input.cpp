@@ -36,9 +36,12 @@ PoseInput::PoseInput(std::string server, PoseHandler on_pose, MalformedHandler o
       keys_(keys) {}
 
 // A transport's thread must go on, so a message for which there is no memory is dropped, as if it had not come.
-void PoseInput::receive(std::string_view key, std::string_view payload, const Sender& sender) try {
-  if (is_within_rate(sender)) parse(key, payload, sender);
+bool PoseInput::receive(std::string_view key, std::string_view payload, const Sender& sender) try {
+  const Rate rate = count(key.size() + payload.size(), sender);
+  if (rate == Rate::kWithin) parse(key, payload, sender);
+  return rate != Rate::kFlood;
 } catch (const std::bad_alloc&) {
+  return true;
 }
 
 void PoseInput::parse(std::string_view key, std::string_view payload, const Sender& sender) {
@@ -56,27 +59,50 @@ void PoseInput::parse(std::string_view key, std::string_view payload, const Send
   on_pose_(address->scene, address->tool, pose, sender);
 }
 
-void PoseInput::receive_framed(std::string_view bytes, const Sender& sender) try {
-  if (!is_within_rate(sender)) return;
+bool PoseInput::receive_framed(std::string_view bytes, const Sender& sender) try {
+  const Rate rate = count(bytes.size(), sender);
+  if (rate == Rate::kWithin) parse_framed(bytes, sender);
+  return rate != Rate::kFlood;
+} catch (const std::bad_alloc&) {
+  return true;
+}
+
+bool PoseInput::refuse_frames(std::size_t bytes, const Sender& sender) try {
+  const Rate rate = count(bytes, sender);
+  if (rate == Rate::kWithin) refuse_of(sender, {}, "more than one frame");
+  return rate != Rate::kFlood;
+} catch (const std::bad_alloc&) {
+  return true;
+}
+
+void PoseInput::forget(const Sender& sender) { rate_of(sender).forget(sender.number); }
+
+void PoseInput::parse_framed(std::string_view bytes, const Sender& sender) {
   const std::size_t end_of_key = bytes.find('\0');
   if (end_of_key == std::string_view::npos) return refuse_of(sender, {}, "no zero byte after the key");
   const std::string_view key = bytes.substr(0, end_of_key);
   if (keys_ != nullptr && !may_move(sender, key)) return;
   parse(key, bytes.substr(end_of_key + 1), sender);
-} catch (const std::bad_alloc&) {
 }
 
-bool PoseInput::is_within_rate(const Sender& sender) {
-  const PoseRate::Verdict verdict =
-      rates_[static_cast<std::size_t>(sender.carrier)].take(sender.number, std::chrono::steady_clock::now());
-  if (verdict == PoseRate::Verdict::kTaken) return true;
+PoseInput::Rate PoseInput::count(std::size_t bytes, const Sender& sender) {
+  using Verdict = PoseRate::Verdict;
+  const Verdict verdict = rate_of(sender).take(sender.number, bytes, std::chrono::steady_clock::now());
+  if (verdict == Verdict::kTaken) return Rate::kWithin;
   counters_.count_refusal(sender.carrier, Refusal::kPoseRate);
-  if (verdict == PoseRate::Verdict::kDroppedAndTold) {
-    on_malformed_({.who = sender.who(),
-                   .what = what_of(sender.carrier),
-                   .reason = "more than kMaxPosesPerSecond poses of a client; the others are dropped"});
+  const auto tell = [&](std::string_view what, std::string_view reason) {
+    on_malformed_({.who = sender.who(), .what = what, .reason = reason});
+  };
+  if (verdict == Verdict::kDroppedAndTold) {
+    tell(what_of(sender.carrier),
+         "more than kMaxPosesPerSecond poses or kMaxPoseBytesPerSecond of a client; the others are dropped");
   }
-  return false;
+  if (verdict == Verdict::kFloodAndTold) {
+    tell(sender.carrier == Carrier::kZeroMq ? "a flood of poses over ZeroMQ" : "a flood of poses over zenoh",
+         "kMaxPoseLeadS ahead of kMaxPosesPerSecond or kMaxPoseBytesPerSecond; its client was disconnected");
+  }
+  const bool floods = verdict == Verdict::kFlood || verdict == Verdict::kFloodAndTold;
+  return floods ? Rate::kFlood : Rate::kBeyond;
 }
 
 bool PoseInput::may_move(const Sender& sender, std::string_view key) {

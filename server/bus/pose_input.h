@@ -38,7 +38,8 @@ using MalformedHandler = std::function<void(const Refused&)>;
 
 /// Parses every message that clients send on the data plane, whatever the transport. Each message becomes exactly one
 /// call: `on_pose` with a pose, or `on_malformed` with a reason, which also adds one to `malformed_count`. What a
-/// client sends beyond its rate is dropped unread, and only the first one is told to `on_malformed`.
+/// client sends beyond its rate is dropped unread, and only the first one is told to `on_malformed`. A client that goes
+/// on floods (pose_rate.h), and its transport must end its connection.
 ///
 /// PoseInput checks the key, the size and the protobuf. It does not check numbers or names: the scene's pose inbox
 /// refuses a pose that is not finite, and knows which tools exist.
@@ -51,19 +52,26 @@ class PoseInput {
   PoseInput(std::string server, PoseHandler on_pose, MalformedHandler on_malformed, BusCounters& counters,
             const access::KeyRing* keys = nullptr);
 
-  /// Parses one message whose transport carries the key separately (zenoh).
-  void receive(std::string_view key, std::string_view payload, const Sender& sender = {});
+  /// Parses one message whose transport carries the key separately (zenoh). Returns false if the sender floods.
+  bool receive(std::string_view key, std::string_view payload, const Sender& sender = {});
   /// Parses one message of the form key, zero byte, payload (ZeroMQ). zenoh asks the same rules before a message comes
-  /// here.
-  void receive_framed(std::string_view bytes, const Sender& sender = {});
+  /// here. Returns false if the sender floods.
+  bool receive_framed(std::string_view bytes, const Sender& sender = {});
+  /// Refuses one message of several frames, `bytes` in all (ZeroMQ). Returns false if the sender floods.
+  bool refuse_frames(std::size_t bytes, const Sender& sender);
+  /// Another client has this sender's number from now on.
+  void forget(const Sender& sender);
   /// Counts and reports a message that the transport itself could not accept.
   void refuse(const Refused& refused);
   /// Messages refused so far.
   std::uint64_t malformed_count() const { return malformed_.load(std::memory_order_relaxed); }
 
  private:
-  bool is_within_rate(const Sender& sender);
+  enum class Rate { kWithin, kBeyond, kFlood };
+  Rate count(std::size_t bytes, const Sender& sender);
+  PoseRate& rate_of(const Sender& sender) { return rates_[static_cast<std::size_t>(sender.carrier)]; }
   bool may_move(const Sender& sender, std::string_view key);
+  void parse_framed(std::string_view bytes, const Sender& sender);
   void parse(std::string_view key, std::string_view payload, const Sender& sender);
   /// Refuses a pose.
   void refuse_of(const Sender& sender, std::string_view scene, std::string_view reason);

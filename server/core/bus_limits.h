@@ -9,6 +9,11 @@ namespace tensormass::limits {
 /// Poses a second of one client over one transport, a connection or with keys a key. Those beyond it are dropped
 /// unread. A scene with every tool at 1 kHz has 16,000.
 inline constexpr int kMaxPosesPerSecond = 20'000;
+/// Bytes a second [B/s] of the same, with their keys. A pose with the longest key has about 400.
+inline constexpr std::size_t kMaxPoseBytesPerSecond = 8 << 20;
+/// Time [s] that a client may be ahead of these rates, dropped poses included. One that is further ahead floods, and its
+/// connection is closed. A hand sends 5 s of 1 kHz for 16 tools within 4 s after a pause, and stays.
+inline constexpr double kMaxPoseLeadS = 5;
 /// Bytes of a client's message over zenoh; a larger one is dropped before it is held. zenoh sends what is smaller in
 /// one piece, so a lower limit would bound nothing more.
 inline constexpr std::uint32_t kMaxZenohMessageBytes = 65'536;

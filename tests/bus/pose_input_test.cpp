@@ -84,5 +84,22 @@ TEST_F(PoseInputTest, DropsAFloodUnreadAndTellsOfItOnce) {
   EXPECT_EQ(dropped(Carrier::kZenoh), 0u);
 }
 
+TEST_F(PoseInputTest, SaysWhoFloods) {
+  const Sender flooder{Carrier::kZeroMq, 7}, other{Carrier::kZeroMq, 8};
+  const std::string frames(limits::kMaxPoseBytesPerSecond, 'x');
+  // Each is worth a second.
+  bool stays = true;
+  for (int sent = 0; sent < 1000 && stays; ++sent) stays = input.refuse_frames(frames.size(), flooder);
+  EXPECT_FALSE(stays);
+  EXPECT_FALSE(input.receive_framed(frames, flooder));
+  EXPECT_TRUE(input.receive_framed(key + '\0' + serialized_pose(), other));
+  EXPECT_EQ(poses.size(), 1u);
+  EXPECT_EQ(input.malformed_count(), 1u) << "the first message of several frames; the others are dropped unread";
+  // Another connection has the number now.
+  input.forget(flooder);
+  EXPECT_TRUE(input.receive_framed(key + '\0' + serialized_pose(), flooder));
+  EXPECT_EQ(poses.size(), 2u);
+}
+
 }  // namespace
 }  // namespace tensormass::bus

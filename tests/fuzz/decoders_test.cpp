@@ -19,12 +19,11 @@
 #include <google/protobuf/stubs/logging.h>
 #include <gtest/gtest.h>
 
-#include "access/client_list.h"
 #include "bus/keys.h"
 #include "bus/pose_input.h"
 #include "control/http2_meter.h"
 #include "control/scene_registry.h"
-#include "fuzz/mutate.h"
+#include "fuzz/target.h"
 #include "support/editing.h"
 #include "support/http2.h"
 #include "support/scenes.h"
@@ -44,40 +43,6 @@ namespace tensormass::fuzz {
 namespace {
 
 constexpr unsigned kMaxTime = 60;  // [s], a hundred times that of the slowest with sanitizers
-
-/// A decoder with inputs that it takes.
-class Target {
- public:
-  virtual ~Target() = default;
-  virtual std::string mutated(Random& random) const = 0;
-  /// Fails the test if the decoder neither takes nor refuses it.
-  virtual void run(const std::string& input) = 0;
-};
-
-std::string changed(std::string bytes, Random& random) {
-  for (std::size_t i = 0, count = std::size_t{1} << random.below(4); i < count; ++i) mutate(bytes, random);
-  return bytes;
-}
-
-/// Inputs that are messages: most are changed field by field, so that they pass protobuf's parser.
-template <class Message>
-class MessageTarget : public Target {
- public:
-  std::string mutated(Random& random) const override {
-    Message message = random.one_of(seeds_);
-    for (std::size_t i = 0, count = std::size_t{1} << random.below(4); i < count; ++i) mutate(message, random);
-    std::string bytes = message.SerializeAsString();
-    return random.below(6) == 0 ? changed(bytes, random) : bytes;
-  }
-  void run(const std::string& input) override {
-    Message message;
-    if (message.ParseFromString(input)) take(message);
-  }
-
- protected:
-  virtual void take(Message& message) = 0;
-  std::vector<Message> seeds_;
-};
 
 /// A scene of a few elements in lockstep.
 class OfScene {
@@ -390,43 +355,18 @@ class EditTarget final : public MessageTarget<v1::RecordedEdit>, OfScene {
   }
 };
 
-// -- files ------------------------------------------------------------------------------------------------------------
-
-class ClientListTarget final : public Target {
- public:
-  std::string mutated(Random& random) const override {
-    return changed(R"({"tensormass": "client list", "clients": [{"id": "h.0123abcd", "role": "hand", "scene": "demo",)"
-                   R"( "tool": "probe", "curve_public": ")" +
-                       std::string(access::kCurveCharacters, 'x') + R"(", "expires_s": 1800000000}]})",
-                   random);
-  }
-  void run(const std::string& input) override {
-    const auto list = access::read_client_list(input, "clients.json");
-    EXPECT_TRUE(list || !list.error().message.empty());
-  }
-};
-
 // -- the tests --------------------------------------------------------------------------------------------------------
 
-struct Case {
-  const char* name;
-  std::size_t count;  // inputs, in about a second at most
-  std::function<std::unique_ptr<Target>()> make;
-};
-template <class T>
-Case of(const char* name, std::size_t count) {
-  return {name, count, [] { return std::make_unique<T>(); }};
-}
 const std::vector<Case>& cases() {
-  static const std::vector<Case> all{of<PoseTarget>("daemon-pose", 1000),
-                                     of<KeyTarget>("daemon-key", 20'000),
-                                     of<Http2Target>("daemon-http2", 3000),
-                                     of<SceneTarget>("daemon-scene", 300),
-                                     of<SnapshotTarget>("daemon-snapshot", 400),
-                                     of<RecordingTarget>("daemon-recording", 300),
-                                     of<CutTarget>("daemon-cut", 150),
-                                     of<EditTarget>("daemon-edit", 300),
-                                     of<ClientListTarget>("daemon-clients", 3000)};
+  static const std::vector<Case> all = [] {
+    std::vector<Case> list{of<PoseTarget>("daemon-pose", 1000),        of<KeyTarget>("daemon-key", 20'000),
+                           of<Http2Target>("daemon-http2", 3000),      of<SceneTarget>("daemon-scene", 300),
+                           of<SnapshotTarget>("daemon-snapshot", 400), of<RecordingTarget>("daemon-recording", 300),
+                           of<CutTarget>("daemon-cut", 150),           of<EditTarget>("daemon-edit", 300)};
+    for (Case& one : file_cases()) list.push_back(std::move(one));
+    for (Case& one : haptic_cases()) list.push_back(std::move(one));
+    return list;
+  }();
   return all;
 }
 
@@ -487,7 +427,7 @@ TEST_P(Decoder, TakesOrRefusesMutatedInputs) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(OfTheDaemon, Decoder, testing::ValuesIn(cases()), [](const auto& one) {
+INSTANTIATE_TEST_SUITE_P(All, Decoder, testing::ValuesIn(cases()), [](const auto& one) {
   std::string name = one.param.name;
   std::erase(name, '-');
   return name;

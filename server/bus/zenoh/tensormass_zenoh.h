@@ -96,6 +96,8 @@ uint64_t tensormass_zenoh_sender(void);
 /* Writes who that is, for the log: the name of its certificate or its address, cut to `capacity` bytes; "": not known.
  */
 void tensormass_zenoh_sender_name(char* name, size_t capacity);
+/* Closes the connection that the message came over. Does nothing if it is not known. */
+void tensormass_zenoh_end_sender(void);
 /* Ends the subscription and returns when its function is not running. Must not be called from that function, and must
  * be called before the session is closed. */
 void tensormass_zenoh_unsubscribe(tensormass_zenoh_subscriber* subscriber);

@@ -57,7 +57,7 @@ Result<void> ZenohTransport::open_session() {
   TM_ASSIGN_OR_RETURN(session, zenoh::Session::open(wanted));
   TM_ASSIGN_OR_RETURN(poses, session.subscribe(pose_key(options_.server, "*", "*"), [this](std::string_view key,
                                                                                            std::string_view payload) {
-    input_.receive(key, payload, {Carrier::kZenoh, tensormass_zenoh_sender()});
+    if (!input_.receive(key, payload, {Carrier::kZenoh, tensormass_zenoh_sender()})) tensormass_zenoh_end_sender();
   }));
   session_.emplace(std::move(session));
   poses_ = std::move(poses);

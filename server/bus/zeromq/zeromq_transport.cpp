@@ -328,20 +328,22 @@ void ZeroMqTransport::receive_poses() {
   zmq::message_t message;
   for (int count = 0; count < kPosesPerTurn && poses_.recv(message, zmq::recv_flags::dontwait); ++count) {
     const int descriptor = zmq_msg_get(message.handle(), ZMQ_SRCFD);
+    const char* const client = keys_ != nullptr ? zmq_msg_gets(message.handle(), "User-Id") : nullptr;
+    const std::string id = client != nullptr ? client : "";
+    // A key's connections count together, and without keys each for itself.
+    const std::uint64_t number =
+        client != nullptr ? std::hash<std::string_view>()(id) : static_cast<std::uint64_t>(descriptor);
+    const Sender sender{Carrier::kZeroMq, number, id, descriptor};
+    bool stays = true;
     if (!message.more()) {
-      const char* const sender = keys_ != nullptr ? zmq_msg_gets(message.handle(), "User-Id") : nullptr;
-      // A key's connections count together, and without keys each for itself.
-      const std::uint64_t number =
-          sender != nullptr ? std::hash<std::string_view>()(sender) : static_cast<std::uint64_t>(descriptor);
-      input_.receive_framed(message.to_string_view(),
-                            {Carrier::kZeroMq, number, sender != nullptr ? sender : "", descriptor});
+      stays = input_.receive_framed(message.to_string_view(), sender);
       poses_monitor_.connections.used(descriptor);
-      if (sender != nullptr && keys_->find(sender) == nullptr) end_connection(descriptor, pose_endpoint_);
-      continue;
+    } else {
+      std::size_t bytes = message.size();
+      while (message.more() && poses_.recv(message, zmq::recv_flags::dontwait)) bytes += message.size();
+      stays = input_.refuse_frames(bytes, sender);
     }
-    while (message.more() && poses_.recv(message, zmq::recv_flags::dontwait)) continue;
-    const std::string who = address_of_peer(descriptor);
-    input_.refuse({.who = who, .what = "a pose over ZeroMQ", .reason = "more than one frame"});
+    if (!stays || (client != nullptr && keys_->find(id) == nullptr)) end_connection(descriptor, pose_endpoint_);
   }
 }
 
@@ -412,6 +414,9 @@ void ZeroMqTransport::read_events(Monitor& monitor) {
     if (another_peer && publishes) subscribers_.forget(descriptor, now);
     if (event == ZMQ_EVENT_ACCEPTED) {
       monitor.handshakes.accepted(descriptor, now);
+      if (!publishes && keys_ == nullptr) {
+        input_.forget({.carrier = Carrier::kZeroMq, .number = static_cast<std::uint64_t>(descriptor)});
+      }
       end_one_too_many(monitor, descriptor, publishes ? publish_endpoint_ : pose_endpoint_);
     }
     if (event == ZMQ_EVENT_HANDSHAKE_SUCCEEDED) monitor.handshakes.succeeded();

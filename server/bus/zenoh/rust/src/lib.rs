@@ -353,6 +353,11 @@ pub extern "C" fn tensormass_zenoh_sender() -> u64 {
 }
 
 #[no_mangle]
+pub extern "C" fn tensormass_zenoh_end_sender() {
+    peers::close_sender();
+}
+
+#[no_mangle]
 pub unsafe extern "C" fn tensormass_zenoh_sender_name(name: *mut c_char, capacity: usize) {
     unsafe { write_text(&peers::sender_name(), name, capacity) };
 }

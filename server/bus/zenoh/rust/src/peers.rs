@@ -281,6 +281,17 @@ pub fn sender_name() -> String {
     CURRENT.with_borrow(|current| state.peers.get(current).map_or_else(String::new, |peer| peer.who.clone()))
 }
 
+/// Closes the connection of the peer whose message is handled on this thread. Whoever asks for it tells why.
+pub fn close_sender() {
+    if sender() == 0 {
+        return;
+    }
+    let mut state = lock();
+    if let Some(peer) = CURRENT.with_borrow(|current| state.peers.get_mut(current)) {
+        let _ = close(peer, "");
+    }
+}
+
 /// Notes a declaration of the current peer. Returns who was disconnected, if it was one too many: the current peer, or
 /// the sender with most if all together have too many.
 pub fn declare(kind: Kind, id: u32) -> Option<Closed> {
