@@ -34,9 +34,10 @@ Result<void> read_stiffness(const v1::LocalModel& model, Feedback& feedback) {
   if ((k - k.transpose()).cwiseAbs().maxCoeff() > kStiffnessTolerance * scale) {
     return invalid("feedback: the local model's stiffness is not symmetric");
   }
-  k = 0.5 * (k + k.transpose()).eval();
+  k = (0.5 * k + 0.5 * k.transpose()).eval();  // the sum of two large values may be infinite
   const Eigen::Vector3d eigenvalues =
       Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(k, Eigen::EigenvaluesOnly).eigenvalues();
+  if (!eigenvalues.allFinite()) return invalid("feedback: the local model's stiffness is too large");
   if (eigenvalues(0) < -kStiffnessTolerance * scale) {
     return invalid("feedback: the local model's stiffness is not positive semi-definite");
   }

@@ -119,6 +119,11 @@ TEST(Feedback, RefusesValuesThatCouldPushWithoutBound) {
             std::string::npos);
   EXPECT_NE(with([](auto& m) { m.mutable_local_model()->set_stiffness_n_per_m(1, 90.0); }).find("symmetric"),
             std::string::npos);
+  EXPECT_NE(with([](auto& m) {
+              for (double& k : *m.mutable_local_model()->mutable_stiffness_n_per_m()) k = 1.7e308;
+            }).find("too large"),
+            std::string::npos)
+      << "sums of two are infinite";
   EXPECT_NE(with([](auto& m) { m.mutable_local_model()->set_stiffness_n_per_m(8, -20.0); }).find("semi-definite"),
             std::string::npos);
   EXPECT_NE(with([](auto& m) { m.mutable_local_model()->add_stiffness_n_per_m(1.0); }).find("3×3"), std::string::npos);
