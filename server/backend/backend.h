@@ -110,6 +110,7 @@ struct BladeFront {
   Vec3<double> rest_m = Vec3<double>::Zero();
   std::uint32_t element = view::kNoTetrahedron;  ///< numbered in the scene; kNoTetrahedron: it cuts nothing
   double dissipated_j = 0;                       ///< work of fracture in the step
+  double cut_m2 = 0;                             ///< area that the point cut in the step
 };
 
 /// A buffer that steps only read.

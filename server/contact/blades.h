@@ -4,6 +4,7 @@
 
 #include "contact/link.h"
 #include "physics/contact/closest_point.h"
+#include "physics/lists.h"
 #include "view/scene.h"
 
 /// Blades that cut tissue: each point of an edge holds the tissue by a spring that yields.
@@ -28,6 +29,10 @@
 /// either.
 /// 4. Along the edge the anchor slides. A blade that moves along its edge cuts no area.
 /// 5. A free point takes its anchor where it is in the step after tissue came around it, without any force.
+/// 6. Scissors have two edges, each a blade of its own. Where one has passed the other, tissue between them is cut: the
+///    point lets go, and its anchor goes to where it is. The load on the joint is −Σ F · ∂p/∂θ, so closing by dθ does
+///    the work Gc dA on the area that both edges sweep: torque = Gc t ds/dθ for tissue that is t thick, s: the mean
+///    depth of the cut (Mahvash et al. 2008).
 ///
 /// Patch 0 does the work of all blade points, each in a thread of its own. All patches look for tissue around free
 /// points.
@@ -45,8 +50,18 @@ template <class Real>
 struct BladePoint {
   Vec3<Real> position, motion;     // motion in this step
   Vec3<Real> cuts, normal, along;  // c, n, e
+  Vec3<Real> by_joint;             // ∂p/∂θ; zero without a joint
   Real length_m;                   // l
+  bool is_past;                    // the other edge has passed it
 };
+
+/// Returns the edge of its tool that a blade is. Edges of a tool follow each other.
+template <class Real>
+TM_HOST_DEVICE std::uint32_t edge_of(const view::BladesView<Real>& blades, std::uint32_t blade) {
+  std::uint32_t edge = 0;
+  while (edge < blade && blades.tools[blade - edge - 1] == blades.tools[blade]) ++edge;
+  return edge;
+}
 
 /// point: among those of all blades
 template <class Real>
@@ -56,13 +71,23 @@ TM_HOST_DEVICE BladePoint<Real> blade_point(const view::ContactView<Real>& conta
   const physics::PlacedTool<Real>& tool = contact.tools[blades.tools[blade]];
   const std::uint32_t last = blades.first_points[blade + 1] - blades.first_points[blade] - 1;
   const std::uint32_t own = point - blades.first_points[blade];
-  BladePoint<Real> out;
-  out.cuts = tool.axis(0);
+  BladePoint<Real> out{};
+  physics::with_blade(tool.kind, [&](auto kind) {
+    using Kind = typename decltype(kind)::Type;
+    const std::uint32_t edge = edge_of(blades, blade);
+    const physics::EdgePoint<Real> at = Kind::edge_point(tool, edge, own, last);
+    out.position = at.position;
+    out.cuts = at.cuts;
+    out.along = at.along;
+    out.is_past = at.is_past;
+    out.motion = tool.motion_at(at.position);
+    if constexpr (Kind::kJoints.size() > 0) {
+      out.by_joint = Kind::motion_of_edge(tool, edge, at.position);
+      out.motion += out.by_joint * tool.joints_moved[0];
+    }
+  });
   out.normal = tool.axis(1);
-  out.along = tool.axis(2);
   const Real spacing = tool.parameters[0] / static_cast<Real>(last);
-  out.position = tool.position() + out.along * (spacing * static_cast<Real>(own));
-  out.motion = tool.motion_at(out.position);
   out.length_m = own == 0 || own == last ? spacing / 2 : spacing;
   return out;
 }
@@ -167,7 +192,7 @@ TM_HOST_DEVICE void take_anchor(const view::StateView<Real>& state, const view::
                                 const physics::PlacedTool<Real>& tool, const BladePoint<Real>& at,
                                 std::uint32_t point) {
   Real* memory = blades.memory_of(point);
-  if (!(tool.presence > 0)) {
+  if (!(tool.presence > 0) || (at.is_past && !(memory[view::kBladeTetrahedron] > 0))) {
     for (std::uint32_t i = 0; i < view::kBladeMemory; ++i) memory[i] = 0;
     return;
   }
@@ -243,12 +268,14 @@ TM_HOST_DEVICE view::Link<Real> link_of_pin(const view::StateView<Real>& state, 
 ///
 ///   force       that the pin exerted on the tissue
 ///   anchor      where the anchor was when the step ended; written
+///   cut_m2      area that the point cut in the step; written
 /// Returns the work of fracture in the step [J].
 template <class Real>
 TM_HOST_DEVICE Real end_pin(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                             const view::BladesView<Real>& blades, const BladePoint<Real>& at, std::uint32_t blade,
-                            std::uint32_t point, const Vec3<Real>& force, Vec3<Real>& anchor) {
+                            std::uint32_t point, const Vec3<Real>& force, Vec3<Real>& anchor, Real& cut_m2) {
   using std::abs;
+  cut_m2 = 0;
   Real* memory = blades.memory_of(point);
   std::uint32_t tetrahedron = tetrahedron_in(memory, view::kBladeTetrahedron);
   Real* weights = memory + view::kBladeWeights;
@@ -270,10 +297,16 @@ TM_HOST_DEVICE Real end_pin(const view::StateView<Real>& state, const view::Cont
     const Real cut = maximum(forwards - pin.cut_n / pin.stiffness, Real(0));
     const Real torn = maximum(abs(sideways) - pin.side_n / pin.stiffness, Real(0));
     const Vec3<Real> side = at.normal * (sideways < 0 ? -torn : torn);
-    moves = at.along * at.along.dot(stretch) + at.cuts * cut + side;
+    if (!at.is_past) moves = at.along * at.along.dot(stretch) + at.cuts * cut + side;
     dissipated = force.dot(at.cuts * cut + side);
+    cut_m2 = at.length_m * (cut + torn);
+    if (at.is_past) {  // it lets go of the spring, too
+      const Real left = forwards - cut;
+      dissipated += pin.stiffness * left * left / 2;
+      cut_m2 += at.length_m * left;
+    }
   }
-  if (move_anchor(blades, Vec3<Real>(anchor + moves), at_end, tetrahedron, weights)) {
+  if (move_anchor(blades, Vec3<Real>(anchor + moves), at_end, tetrahedron, weights) && !at.is_past) {
     memory[view::kBladeTetrahedron] = static_cast<Real>(tetrahedron) + 1;
     return dissipated;
   }
@@ -409,32 +442,37 @@ TM_HOST_DEVICE void measure_blades(Team& team, const view::StateView<Real>& stat
       const std::uint32_t tool = blades.tools[blade];
       const Vec3<Real> origin = contact.tools[tool].position();
       const auto made = [&](std::uint32_t row) { return view::change_made_to_end(state, row); };
-      Real sums[6] = {0, 0, 0, 0, 0, 0};
+      constexpr int kOfJoint = 6;
+      Real sums[kOfJoint + 1] = {0, 0, 0, 0, 0, 0, 0};
       team.for_each(begin, end, [&](std::uint32_t point) {
         Real* memory = blades.memory_of(point);
         if (state.control->saves_checkpoint != 0) {
           Real* saved = blades.checkpoint_memory + (memory - blades.memory);
           for (std::uint32_t i = 0; i < view::kBladeMemory; ++i) saved[i] = memory[i];
         }
-        blades.reports[point].dissipated_j = 0;
+        blades.reports[point].dissipated_j = blades.reports[point].cut_m2 = 0;
         if (!(memory[view::kBladeTetrahedron] > 0)) return;
         const Vec3<Real> force = force_after(links.links[links.first_pin() + point], made);
         Vec3<Real> anchor;
+        const BladePoint<Real> at = blade_point(contact, blades, blade, point);
         blades.reports[point].dissipated_j =
-            end_pin(state, contact, blades, blade_point(contact, blades, blade, point), blade, point, force, anchor);
+            end_pin(state, contact, blades, at, blade, point, force, anchor, blades.reports[point].cut_m2);
         const Vec3<Real> torque = physics::cross<Real>(anchor - origin, force);
         for (int c = 0; c < 3; ++c) {
           sums[c] -= force[c];
           sums[3 + c] -= torque[c];
         }
+        sums[kOfJoint] -= at.by_joint.dot(force);
       });
       team.patch_sum(sums);
       if (team.leads_patch()) {
         view::ToolLoad<Real>& load = contact.tool_loads[std::size_t{tool} * blades.patch_count];
+        const bool adds = edge_of(blades, blade) > 0;  // to the load of the edge before
         for (int c = 0; c < 3; ++c) {
-          load.force_n[c] = sums[c];
-          load.torque_n_m[c] = sums[3 + c];
+          load.force_n[c] = adds ? load.force_n[c] + sums[c] : sums[c];
+          load.torque_n_m[c] = adds ? load.torque_n_m[c] + sums[3 + c] : sums[3 + c];
         }
+        load.joints[0] = adds ? load.joints[0] + sums[kOfJoint] : sums[kOfJoint];
       }
       team.sync();
       team.for_each(begin, end, [&](std::uint32_t point) { report_front(state, contact, blades, blade, point); });

@@ -13,8 +13,8 @@ inline constexpr std::size_t kMaxCutsOfBody = 1024;
 /// Edges of a body's mesh that one cut may cross; a cut of more is refused.
 inline constexpr std::uint32_t kMaxEdgesOfCut = 1'000'000;
 
-/// Blades of one scene, and tetrahedra that they may cut; a scene with more is refused. A blade point remembers its
-/// tetrahedron as a number that single precision has.
+/// Blades of one scene (scissors are two), and tetrahedra that they may cut; a scene with more is refused. A blade
+/// point remembers its tetrahedron as a number that single precision has.
 inline constexpr std::size_t kMaxBlades = 4, kMaxBladeTetrahedra = (std::size_t{1} << 24) - 1;
 
 }  // namespace tensormass::limits

@@ -59,7 +59,7 @@ std::vector<std::uint32_t> neighbours_of(const std::vector<std::array<std::uint3
 /// Refuses what only shows when a cut is compiled.
 Result<void> check_may_be_cut(const v1::Body& message, const ReadBody& body) {
   const auto refuse = [&](std::string_view what) {
-    return invalid(fmt::format("body '{}': {} cannot be cut yet; leave it or the scalpel out", body.name, what));
+    return invalid(fmt::format("body '{}': {} cannot be cut yet; leave it or the blade out", body.name, what));
   };
   if (message.has_skin()) return refuse("a skin");
   const bool is_pressed = std::any_of(message.loads().begin(), message.loads().end(),
@@ -73,8 +73,44 @@ Result<void> check_may_be_cut(const v1::Body& message, const ReadBody& body) {
   return {};
 }
 
-bool is_blade(const ToolModel& tool) {
-  return static_cast<int>(tool.kind) == physics::index_of<physics::Scalpel>(physics::Tools{});
+/// Returns how many edges a tool has, and how many points each of them; zero for a tool that is no blade.
+struct Edges {
+  std::uint32_t count = 0, points = 0;
+};
+Edges edges_of(const ToolModel& tool) {
+  Edges out;
+  physics::with_blade(tool.kind, [&](auto tag) {
+    using Kind = typename decltype(tag)::Type;
+    out = {Kind::kEdges, Kind::edge_points(tool.parameters)};
+  });
+  return out;
+}
+
+/// Refuses a blade that cannot cut in its scene.
+Result<void> check_blade(const v1::Scene& scene, const ToolModel& tool, std::uint32_t points) {
+  const std::string where = fmt::format("tool '{}'", tool.name);
+  if (!scene.editing().has_cutting()) {
+    return fail(ErrorCode::kFailedPrecondition,
+                fmt::format("{}: a blade needs a scene that can be cut; give scene.editing.cutting", where));
+  }
+  if (tool.fixed) return invalid(fmt::format("{}: a blade cuts where it moves, so leave fixed out", where));
+  if (tool.mass_kg > 0) {
+    return invalid(fmt::format("{}: a blade is where the hand is, so leave mass_kg out", where));
+  }
+  if (points < 2 || points > limits::kMaxBladePoints) {
+    return invalid(
+        fmt::format("{}.spacing_m: {} points along an edge; give a spacing that makes 2 to "
+                    "limits::kMaxBladePoints = {}",
+                    where, points, limits::kMaxBladePoints));
+  }
+  const bool has_offset = static_cast<int>(tool.kind) == physics::index_of<physics::Scissors>(physics::Tools{});
+  if (has_offset && tool.parameters[3] > tool.parameters[0] / 2) {
+    return invalid(
+        fmt::format("{}.edge_offset_m: {} is more than half of blade_length_m, {}; its edges would hardly "
+                    "open, so give less",
+                    where, tool.parameters[3], tool.parameters[0]));
+  }
+  return {};
 }
 
 }  // namespace
@@ -83,32 +119,19 @@ Result<std::vector<std::uint32_t>> find_blades(const v1::Scene& scene, const Rea
                                                std::span<const ToolModel> tools) {
   std::vector<std::uint32_t> out;
   for (std::uint32_t t = 0; t < tools.size(); ++t) {
-    if (!is_blade(tools[t])) continue;
-    const std::string where = fmt::format("tool '{}'", tools[t].name);
-    if (!scene.editing().has_cutting()) {
-      return fail(ErrorCode::kFailedPrecondition,
-                  fmt::format("{}: a scalpel needs a scene that can be cut; give scene.editing.cutting", where));
-    }
-    if (tools[t].fixed) return invalid(fmt::format("{}: a scalpel cuts where it moves, so leave fixed out", where));
-    if (tools[t].mass_kg > 0) {
-      return invalid(fmt::format("{}: a scalpel is where the hand is, so leave mass_kg out", where));
-    }
-    const std::uint32_t points = physics::Scalpel::blade_points(tools[t].parameters);
-    if (points < 2 || points > limits::kMaxBladePoints) {
-      return invalid(
-          fmt::format("{}.scalpel.spacing_m: {} points along the edge; give a spacing that makes 2 to "
-                      "limits::kMaxBladePoints = {}",
-                      where, points, limits::kMaxBladePoints));
-    }
-    out.push_back(t);
+    const Edges edges = edges_of(tools[t]);
+    if (edges.count == 0) continue;
+    TM_RETURN_IF_ERROR(check_blade(scene, tools[t], edges.points));
+    out.insert(out.end(), edges.count, t);
   }
   if (out.empty()) return out;
   if (out.size() > limits::kMaxBlades) {
     return fail(ErrorCode::kResourceExhausted,
-                fmt::format("scene.tools: {} scalpels exceed limits::kMaxBlades = {}", out.size(), limits::kMaxBlades));
+                fmt::format("scene.tools: {} edges of blades exceed limits::kMaxBlades = {}; scissors have two",
+                            out.size(), limits::kMaxBlades));
   }
   if (!scene.body_contacts().empty()) {
-    return invalid("scene.body_contacts: a scene with a scalpel cannot have them yet; leave one of the two out");
+    return invalid("scene.body_contacts: a scene with a blade cannot have them yet; leave one of the two out");
   }
   std::size_t elements = 0;
   for (const ReadBody& body : bodies.bodies) {
@@ -116,8 +139,8 @@ Result<std::vector<std::uint32_t>> find_blades(const v1::Scene& scene, const Rea
     for (const mesh::ElementBlock& block : body.mesh.blocks) {
       if (block.shape == mesh::Shape::kTetrahedron || block.nodes.empty()) continue;
       return invalid(
-          fmt::format("body '{}': a scalpel cuts linear tetrahedra only, and it has other shapes; mesh it "
-                      "with tetrahedra, or take the scalpel out",
+          fmt::format("body '{}': a blade cuts linear tetrahedra only, and it has other shapes; mesh it "
+                      "with tetrahedra, or take the blade out",
                       body.name));
     }
     elements += body.element_count;
@@ -125,7 +148,7 @@ Result<std::vector<std::uint32_t>> find_blades(const v1::Scene& scene, const Rea
   if (elements > limits::kMaxBladeTetrahedra) {
     return fail(ErrorCode::kResourceExhausted,
                 fmt::format("scene.bodies: {} tetrahedra exceed limits::kMaxBladeTetrahedra = {} of a scene with a "
-                            "scalpel; take a coarser mesh",
+                            "blade; take a coarser mesh",
                             elements, limits::kMaxBladeTetrahedra));
   }
   return out;
@@ -136,7 +159,7 @@ Blades make_blades(const LinkInput& in) {
   out.tools = in.links.blades;
   out.first_points.push_back(0);
   for (const std::uint32_t tool : out.tools) {
-    out.first_points.push_back(out.first_points.back() + physics::Scalpel::blade_points(in.tools[tool].parameters));
+    out.first_points.push_back(out.first_points.back() + edges_of(in.tools[tool]).points);
   }
   std::vector<std::array<std::uint32_t, 4>> elements;
   for_each_element(in.bodies, [&](auto, std::size_t body, std::uint32_t, std::span<const std::uint32_t> nodes, auto&) {

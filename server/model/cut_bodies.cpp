@@ -90,6 +90,12 @@ Result<void> cut_apart(ReadBody& body, std::shared_ptr<const BodyCut> cut) {
   return {};
 }
 
+std::vector<mesh::CutPiece> pieces_of(mesh::Cut& cut) {
+  std::vector<mesh::CutPiece> out(cut.pieces({}));
+  cut.pieces(out);
+  return out;
+}
+
 }  // namespace
 
 BodyCut::BodyCut(std::shared_ptr<const Whole> whole, mesh::CutChanges changes)
@@ -107,7 +113,9 @@ Result<std::unique_ptr<BodyCut>> BodyCut::make(const ReadBody& body) {
   }
   auto whole = std::make_shared<const Whole>(body.mesh, ring_tetrahedra(body));
   mesh::CutChanges none(whole->surface);
-  return std::unique_ptr<BodyCut>(new BodyCut(std::move(whole), std::move(none)));
+  std::unique_ptr<BodyCut> out(new BodyCut(std::move(whole), std::move(none)));
+  out->pieces_ = out->whole_pieces_ = pieces_of(out->cut_);
+  return out;
 }
 
 std::unique_ptr<BodyCut> BodyCut::copy() const {
@@ -117,6 +125,8 @@ std::unique_ptr<BodyCut> BodyCut::copy() const {
     TM_ASSERT(!refused, "the same cuts were made before");
   }
   out->batches_ = batches_;
+  out->pieces_ = pieces_;
+  out->whole_pieces_ = whole_pieces_;
   out->area_m2_ = area_m2_;
   return out;
 }
@@ -134,6 +144,7 @@ Result<void> BodyCut::make_cut(std::uint32_t order, std::vector<mesh::CutEdge> e
   }
   const mesh::CutSurface surface = mesh::visible_surface(cut_);
   changes_.take(surface);
+  pieces_ = pieces_of(cut_);
   area_m2_ = 0;
   const std::vector<Eigen::Vector3d> rows = mesh::row_positions(cut_);
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {

@@ -69,6 +69,9 @@ class BodyCut {
   const mesh::CutChanges& changes() const { return changes_; }
   const std::vector<CutBatch>& batches() const { return batches_; }
   double area_m2() const { return area_m2_; }  ///< sum over all cuts, one side of each
+  /// What hangs together, by lowest row; and the same of the body as loaded.
+  const std::vector<mesh::CutPiece>& pieces() const { return pieces_; }
+  const std::vector<mesh::CutPiece>& whole_pieces() const { return whole_pieces_; }
 
   BodyCut(const BodyCut&) = delete;
   BodyCut& operator=(const BodyCut&) = delete;
@@ -80,6 +83,7 @@ class BodyCut {
   mesh::Cut cut_;
   mesh::CutChanges changes_;
   std::vector<CutBatch> batches_;
+  std::vector<mesh::CutPiece> pieces_, whole_pieces_;
   double area_m2_ = 0;
 };
 

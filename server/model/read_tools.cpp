@@ -136,13 +136,13 @@ Result<void> read_shape(const Message& kind, std::string_view owner, std::span<c
     if constexpr (std::is_same_v<Kind, physics::BoxSolid>) {
       out.width_m = middle_of({out.parameters[0], out.parameters[1], out.parameters[2]});
     }
-    if constexpr (std::is_same_v<Kind, physics::Scalpel>) out.width_m = std::numeric_limits<double>::infinity();
     if (!(out.radius_m > 0)) out.radius_m = kPlaneRadiusInScenes * size_of(nodes);
   } else {
     TM_ASSIGN_OR_RETURN(radius, read_field(kind, "radius_m", 1e-6, 1e3, where));
     out.radius_m = radius;
     out.width_m = 2 * radius;
   }
+  if constexpr (Kind::kContactPoints == 0) out.width_m = std::numeric_limits<double>::infinity();  // it touches nothing
   const Message& tip_message = kind.GetReflection()->GetMessage(kind, &field_of(kind, "tip_offset_m"));
   TM_ASSIGN_OR_RETURN(
       tip, read_vector(dynamic_cast<const v1::Vector3&>(tip_message), fmt::format("{}.tip_offset_m", where)));

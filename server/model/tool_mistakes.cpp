@@ -215,7 +215,7 @@ void find_passed_tool(const ToolMistakeInput& m, const Fall& fall, std::size_t b
                       std::vector<Finding>& findings) {
   Finding worst;
   for (const ToolModel& tool : m.tools) {
-    if (tool.core_points == 0) continue;  // nothing passes a solid
+    if (tool.core_points == 0 || tool.contact_points == 0) continue;  // nothing passes a solid, and a blade cuts
     const physics::PlacedTool<double> placed = at_start(m, tool);
     double way_m = kLongestFallM;
     with_kind(tool, [&](auto tag) {

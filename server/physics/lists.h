@@ -26,6 +26,7 @@
 #include "physics/tool/plane.h"
 #include "physics/tool/retractor.h"
 #include "physics/tool/scalpel.h"
+#include "physics/tool/scissors.h"
 #include "physics/tool/spherical_probe.h"
 #include "physics/tool/tool.h"
 
@@ -48,7 +49,7 @@ using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, Stable
 /// All kinds of tools. Their indices are internal; the protocol uses names.
 using ThinTools = TypeList<SphericalProbe, Capsule, Retractor, Grasper>;
 using SolidTools = TypeList<BoxSolid, Plane, MeshSolid>;
-using Blades = TypeList<Scalpel>;
+using Blades = TypeList<Scalpel, Scissors>;
 
 namespace detail {
 template <class... First, class... Second>
@@ -70,9 +71,17 @@ constexpr bool are_tools(TypeList<Types...>) {
            Types::kCorePoints <= limits::kMaxCorePoints) &&
           ...);
 }
+template <BladeTool... Types>
+constexpr bool are_blades(TypeList<Types...>) {
+  return true;
+}
 }  // namespace detail
 static_assert(detail::are_laws(Laws{}));
 static_assert(detail::are_tools(Tools{}));
+static_assert(detail::are_blades(Blades{}));
+
+/// The place in `Tools` from which on all kinds are blades.
+inline constexpr int kFirstBlade = Tools::kCount - Blades::kCount;
 
 /// The law at an index of the list.
 template <int Index>
@@ -134,6 +143,11 @@ TM_HOST_DEVICE void with_type_at(TypeList<Types...>, std::uint32_t place, const 
 template <class Visit>
 TM_HOST_DEVICE void with_tool(std::uint32_t kind, const Visit& visit) {
   detail::with_type_at(Tools{}, kind, visit);
+}
+/// The same for a kind that is a blade; any other visits nothing.
+template <class Visit>
+TM_HOST_DEVICE void with_blade(std::uint32_t kind, const Visit& visit) {
+  detail::with_type_at(Blades{}, kind - static_cast<std::uint32_t>(kFirstBlade), visit);
 }
 
 }  // namespace tensormass::physics

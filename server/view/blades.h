@@ -30,6 +30,7 @@ struct BladeReport {
   Real rest_m[3];             // in the bodies at rest; beside tissue it goes on as the tetrahedron next to it does
   std::uint32_t tetrahedron;  // the one that it goes by; kNoTetrahedron: it cuts nothing
   Real dissipated_j;          // work of fracture in this step
+  Real cut_m2;                // area that the point cut in this step
 };
 
 template <class Real>
@@ -38,7 +39,7 @@ struct BladesView {
   std::uint32_t point_count;  // points of all blades
   std::uint32_t patch_count;
 
-  const std::uint32_t* tools;         // [blade_count] places in ContactView::tools
+  const std::uint32_t* tools;         // [blade_count] places in ContactView::tools; a tool comes once for each edge
   const std::uint32_t* first_points;  // [blade_count + 1]
 
   // Tetrahedra of all bodies, numbered as the elements of the scene.

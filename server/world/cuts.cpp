@@ -21,6 +21,10 @@ namespace tensormass::world {
 
 namespace {
 
+/// A piece that loses no more than this share of its volume has not lost a piece: a second split of an element moves
+/// volume between its parts (docs/decisions/cutting.md).
+constexpr double kSamePiece = 1e-3;
+
 using model::BodyCut;
 using model::SceneCuts;
 
@@ -343,6 +347,28 @@ Result<SceneCuts> cut_along(const v1::Scene& loaded, std::span<const SweptWay> w
     any = true;
   }
   return any ? std::move(out) : SceneCuts(present);
+}
+
+std::vector<FreedPiece> freed_pieces(const SceneCuts& before, const SceneCuts& after) {
+  std::vector<FreedPiece> out;
+  for (std::size_t b = 0; b < after.size(); ++b) {
+    if (after[b] == nullptr || (!before.empty() && before[b] == after[b])) continue;
+    const std::span<const mesh::CutPiece> now = after[b]->pieces();
+    const std::span<const mesh::CutPiece> old =
+        before.empty() || before[b] == nullptr ? after[b]->whole_pieces() : before[b]->pieces();
+    if (now.size() <= old.size()) continue;
+    // Rows of a piece that splits go to its parts, so its lowest row stays with one of them: perhaps the smaller one.
+    std::vector<double> changed_m3;
+    for (const mesh::CutPiece& piece : now) {
+      const auto same = std::find_if(old.begin(), old.end(), [&](const auto& one) { return one.row == piece.row; });
+      const bool stays = same != old.end() && piece.volume_m3 > (1 - kSamePiece) * same->volume_m3;
+      if (!stays) changed_m3.push_back(piece.volume_m3);
+    }
+    std::sort(changed_m3.begin(), changed_m3.end());
+    changed_m3.resize(std::min(changed_m3.size(), now.size() - old.size()));
+    for (const double volume_m3 : changed_m3) out.push_back({static_cast<std::uint32_t>(b), volume_m3});
+  }
+  return out;
 }
 
 double area_of(const SceneCuts& cuts) {

@@ -35,6 +35,14 @@ Result<model::SceneCuts> cut_edges(const v1::Scene& loaded, const v1::SceneEdit&
 Result<model::SceneCuts> cut_along(const v1::Scene& loaded, std::span<const SweptWay> ways,
                                    const model::SceneCuts& present);
 
+/// A piece of a body that hangs on nothing any more.
+struct FreedPiece {
+  std::uint32_t body;  ///< place in Model::bodies
+  double volume_m3;
+};
+/// Returns what further cuts have freed, in each body by volume: of a piece in two the smaller part.
+std::vector<FreedPiece> freed_pieces(const model::SceneCuts& before, const model::SceneCuts& after);
+
 /// Sum over all bodies [m²].
 double area_of(const model::SceneCuts& cuts);
 /// Returns how the surface differs from that of the loaded scene. Leaves the revision open. model: with these cuts

@@ -90,9 +90,9 @@ Enclosure::Core Enclosure::core_of(const model::ToolModel& tool, const physics::
   const auto placed = tool.placed<double>(shape, shape);
   physics::with_tool(tool.kind, [&](auto kind) {
     using Kind = typename decltype(kind)::Type;
+    if constexpr (Kind::kContactPoints == 0) return;  // a blade belongs inside
     if constexpr (Kind::kIsSolid) {
-      // A plane has no place, and a blade belongs inside.
-      if (tool.reach_m > 0 && Kind::kContactPoints > 0) core.points[core.count++] = shape.position_m;
+      if (tool.reach_m > 0) core.points[core.count++] = shape.position_m;  // a plane has no place
     } else {
       for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) core.points[core.count++] = Kind::core_point(placed, i);
     }

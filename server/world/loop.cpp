@@ -227,6 +227,7 @@ bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
   outputs_.note_guard();
   take_edits();
   tell_what_broke();
+  tell_what_was_cut();
   if (!good) {
     TM_ASSERT(world_->guard_event() != nullptr, "a step that failed left a guard event");
     stop_with_fault(to_text(*world_->guard_event(), world_->model()));
@@ -411,6 +412,19 @@ void Loop::tell_what_broke() {
                      .value = static_cast<double>(one.count)};
     if (one.tool != SceneEvent::kNone) event.position_m = world_->tip_m(one.tool);
     outputs_.add_event(event);
+  }
+}
+
+/// Tells of tools that began or ended to cut in the last step.
+void Loop::tell_what_was_cut() {
+  for (const CutCourse& one : world_->sweeps().take_courses()) {
+    outputs_.add_event({.kind = one.ended ? EventKind::kCutEnded : EventKind::kCutBegun,
+                        .step = world_->step_count(),
+                        .body = one.body,
+                        .tool = one.tool,
+                        .value = one.area_m2,
+                        .work_j = one.work_j,
+                        .position_m = world_->tip_m(one.tool)});
   }
 }
 

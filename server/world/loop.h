@@ -205,6 +205,7 @@ class Loop {
   void go_on_from_new_state();
   void take_edits();
   void tell_what_broke();
+  void tell_what_was_cut();
   bool lockstep_frame_due(Clock::time_point now, bool last);
   void diagnose();
   void set_state(State next);

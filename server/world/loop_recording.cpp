@@ -103,7 +103,8 @@ Result<void> Loop::do_swap(Swap& swap) {
   TM_RETURN_IF_ERROR(require_state());
   std::unique_ptr<World>& next = swap.world;
   const GenerationPointer before = generation();
-  const double cut_m2 = area_of(swap.generation->cuts) - area_of(before->cuts);
+  const double area_m2 = area_of(swap.generation->cuts), cut_m2 = area_m2 - area_of(before->cuts);
+  const std::vector<FreedPiece> freed = freed_pieces(before->cuts, swap.generation->cuts);
   try {
     try {
       if (swap.takes_state) {
@@ -138,12 +139,17 @@ Result<void> Loop::do_swap(Swap& swap) {
   if (was_faulted) clock_.restart(Clock::now());
   if (recording_ && swap.edit) recording_->take_edit({std::move(swap.edit), world_->step_count()});
   outputs_.take_step(Clock::now());
+  status_.take_cut_area(area_m2);
   take_edits();
   if (swap.surface != nullptr) outputs_.set_changes(surface_.number(std::move(swap.surface)));
   const bool cuts = cut_m2 > 0;
   outputs_.add_event({.kind = cuts ? EventKind::kCut : EventKind::kAdjusted,
                       .step = world_->step_count(),
                       .value = cuts ? cut_m2 : 0});
+  for (const FreedPiece& piece : freed) {
+    outputs_.add_event(
+        {.kind = EventKind::kPieceFree, .step = world_->step_count(), .body = piece.body, .value = piece.volume_m3});
+  }
   if (status_.state() == v1::SceneStatus::STATE_PAUSED) outputs_.release_tools();
   status_.take_stamp(outputs_.stamp());
   outputs_.publish(true);

@@ -74,6 +74,7 @@ void LoopStatus::take_stamp(const StepStamp& stamp) {
 
 void LoopStatus::take_edits(const World& world) {
   findings_.take_edits(world);
+  fracture_energy_j_.store(world.sweeps().fracture_j(), std::memory_order_relaxed);
   if (world.editor() == nullptr) return;
   removed_mass_kg_.store(world.editor()->removed_mass_kg(), std::memory_order_relaxed);
   removed_volume_m3_.store(world.editor()->removed_volume_m3(), std::memory_order_relaxed);
@@ -113,6 +114,8 @@ v1::SceneStatus LoopStatus::make() const {
   status.set_backend(backend_);
   status.set_removed_mass_kg(removed_mass_kg_.load(std::memory_order_relaxed));
   status.set_removed_volume_m3(removed_volume_m3_.load(std::memory_order_relaxed));
+  status.set_cut_area_m2(cut_area_m2_.load(std::memory_order_relaxed));
+  status.set_fracture_energy_j(fracture_energy_j_.load(std::memory_order_relaxed));
   findings_.add_to(status);
   {
     const std::lock_guard lock(fault_mutex_);

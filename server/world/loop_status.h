@@ -59,6 +59,8 @@ class LoopStatus {
   void take_stamp(const StepStamp& stamp);
   /// Takes what edits have removed and severed.
   void take_edits(const World& world);
+  /// Takes the area of the cuts of a scene that goes on with them.
+  void take_cut_area(double area_m2) { cut_area_m2_.store(area_m2, std::memory_order_relaxed); }
   /// The process can use its device no more (device_loss.h).
   void take_device_loss() { device_lost_.store(true, std::memory_order_relaxed); }
   /// in_time: the step met its deadline.
@@ -93,6 +95,7 @@ class LoopStatus {
   std::atomic<bool> due_{true}, device_lost_{false};
   std::atomic<std::uint64_t> step_count_{0}, changes_{0};
   std::atomic<double> simulated_time_s_{0}, removed_mass_kg_{0}, removed_volume_m3_{0};
+  std::atomic<double> cut_area_m2_{0}, fracture_energy_j_{0};
   const std::shared_ptr<StepStatistics> statistics_;
   const std::shared_ptr<SceneCounts> counts_;
   Findings findings_;

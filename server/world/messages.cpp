@@ -46,18 +46,23 @@ std::string springs_of(const SceneEvent& event, const std::string& attachment) {
 
 /// What happened, in words. Names in `named` are those of the event.
 std::string text_of(const model::Model& model, const SceneEvent& event, const v1::SceneEvent& named) {
-  constexpr double kMm2 = 1e6, kMm3 = 1e9;  // in a square, in a cubic metre
+  constexpr double kMm2 = 1e6, kMm3 = 1e9, kMillijoules = 1e3;  // in a square, in a cubic metre, in a joule
   const std::string of_body = named.body().empty() ? std::string() : fmt::format(" of body '{}'", named.body());
   const std::string by_tool = named.tool().empty() ? std::string() : fmt::format(" by '{}'", named.tool());
   switch (event.kind) {
     case EventKind::kAblated:
       return fmt::format("{:.3g} mm³{} burnt away{}", kMm3 * event.value, of_body, by_tool);
     case EventKind::kPieceFree:
-      return fmt::format("a piece of {:.3g} mm³{} hangs on nothing", kMm3 * event.value, of_body);
+      return fmt::format("a piece of {:.3g} mm³{} is free", kMm3 * event.value, of_body);
     case EventKind::kSevered:
       return fmt::format("{} severed{}", springs_of(event, named.attachment()), by_tool);
     case EventKind::kCut:
       return fmt::format("a cut of {:.3g} mm²{}", kMm2 * event.value, of_body);
+    case EventKind::kCutBegun:
+      return fmt::format("a cut{}{} begins", of_body, by_tool);
+    case EventKind::kCutEnded:
+      return fmt::format("a cut{}{} ends: {:.3g} mm² and {:.3g} mJ", of_body, by_tool, kMm2 * event.value,
+                         kMillijoules * event.work_j);
     case EventKind::kAdjusted:
       return "values of the scene were adjusted";
     case EventKind::kReset:
@@ -224,6 +229,7 @@ void fill_events(const model::Model& model, const EventsSlot& slot, v1::SceneEve
     if (event.attachment != SceneEvent::kNone) to.set_attachment(model.attachments[event.attachment].name);
     if (event.tool != SceneEvent::kNone) to.set_tool(model.tools[event.tool].name);
     to.set_value(event.value);
+    to.set_work_j(event.work_j);
     if (event.position_m) fill(*event.position_m, *to.mutable_position_m());
     to.set_text(text_of(model, event, to));
   }

@@ -26,6 +26,8 @@ enum class EventKind : std::uint8_t {
   kHeld,    ///< a recovery began
   kBroken,  ///< value: number of springs
   kCut,     ///< value: area [m²]
+  kCutBegun,
+  kCutEnded,  ///< value: area [m²]; work_j
 };
 
 struct SceneEvent {
@@ -37,6 +39,7 @@ struct SceneEvent {
   std::uint32_t tool = kNone;        ///< place in model::Model::tools
   std::uint32_t attachment = kNone;  ///< place in model::Model::attachments
   double value = 0;                  ///< follows from the kind
+  double work_j = 0;                 ///< spent on fracture, for kCutEnded
   std::optional<Vec3<double>> position_m = {};
   GuardEvent guard = {};  ///< for kGuard and kHeld
   // The log fills these in.

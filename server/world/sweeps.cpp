@@ -10,6 +10,8 @@ namespace tensormass::world {
 namespace {
 /// Ways of a front that are shorter than this share of the distance between blade points make no position of their own.
 constexpr double kShortWay = 0.25;
+/// A tool cuts in a step if the area is more than this share of the square of that distance. Less is creep.
+constexpr double kLeastCut = 1e-6;
 }  // namespace
 
 BladeSweeps::BladeSweeps(const model::Model& model) {
@@ -20,7 +22,13 @@ BladeSweeps::BladeSweeps(const model::Model& model) {
     blade.step_m = kShortWay * model.tools[blades.tools[b]].parameters[2];
     blade.room.resize(limits::kMaxBladePositions * blade.points);
     now_.resize(std::max(now_.size(), blade.points));
+    if (courses_.empty() || courses_.back().tool != blades.tools[b]) {
+      const double spacing_m = model.tools[blades.tools[b]].parameters[2];
+      courses_.push_back({.tool = blades.tools[b], .least_m2 = kLeastCut * spacing_m * spacing_m});
+    }
+    blade.course = courses_.size() - 1;
   }
+  news_of_courses_.resize(courses_.size());
 }
 
 void BladeSweeps::clear() {
@@ -28,6 +36,8 @@ void BladeSweeps::clear() {
     blade.positions = 0;
     blade.open = false;
   }
+  for (Course& course : courses_) course = {.tool = course.tool, .least_m2 = course.least_m2};
+  course_count_ = 0;
   news_ = false;
   fracture_j_ = 0;
 }
@@ -39,12 +49,38 @@ void BladeSweeps::go_on_with(const BladeSweeps& before) {
     blades_[b].open = before.blades_[b].open;
     std::copy(before.blades_[b].room.begin(), before.blades_[b].room.end(), blades_[b].room.begin());
   }
+  std::copy(before.courses_.begin(), before.courses_.end(), courses_.begin());
   news_ = before.news_;
   fracture_j_ = before.fracture_j_;
 }
 
 bool BladeSweeps::same_run(const Blade& blade, const Point* a, const Point* b) {
   return std::equal(a, a + blade.points, b, [](const Point& x, const Point& y) { return x.body == y.body; });
+}
+
+/// Takes what tools have cut in this step into their courses.
+void BladeSweeps::end_step(double dt_s) {
+  course_count_ = 0;
+  for (Course& course : courses_) {
+    const bool cuts = course.step_m2 > course.least_m2 && course.step_body != kNoBody;
+    if (cuts && !course.cuts) {
+      course.cuts = true;
+      course.area_m2 = course.work_j = 0;
+      course.body = course.step_body;
+      news_of_courses_[course_count_++] = {.tool = course.tool, .body = course.body};
+    }
+    if (course.cuts) {
+      course.area_m2 += course.step_m2;
+      course.work_j += course.step_j;
+      course.idle_s = cuts ? 0 : course.idle_s + dt_s;
+    }
+    if (course.cuts && course.idle_s >= kApartS) {
+      course.cuts = false;
+      news_of_courses_[course_count_++] = {course.tool, course.body, true, course.area_m2, course.work_j};
+    }
+    course.step_m2 = course.step_j = 0;
+    course.step_body = kNoBody;
+  }
 }
 
 void BladeSweeps::take(const model::Model& model, std::span<const backend::BladeFront> fronts) {
@@ -54,8 +90,12 @@ void BladeSweeps::take(const model::Model& model, std::span<const backend::Blade
       const backend::BladeFront& front = fronts[i];
       now_[i] = {front.rest_m, kNoBody};
       fracture_j_ += front.dissipated_j;
+      Course& course = courses_[blade.course];
+      course.step_m2 += front.cut_m2;
+      course.step_j += front.dissipated_j;
       if (front.element == view::kNoTetrahedron) continue;
       now_[i].body = static_cast<std::uint32_t>(model.body_of_element(front.element));
+      if (front.cut_m2 > 0) course.step_body = now_[i].body;
       any = true;
     }
     fronts = fronts.subspan(blade.points);
@@ -88,6 +128,7 @@ void BladeSweeps::take(const model::Model& model, std::span<const backend::Blade
     std::copy_n(now_.data(), blade.points, blade.at(blade.positions - 1));
     blade.open = false;
   }
+  end_step(model.dt_s);
 }
 
 /// Appends the ways of one blade: for each run of points that cut the same body in two positions, as long as it stays.

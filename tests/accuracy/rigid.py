@@ -119,7 +119,7 @@ def instruments() -> list[Instrument]:
     for scene in tm.builtin_scenes():
         for tool in movable_tools(SceneFile.read(scene).message()):
             kind = str(tool.WhichOneof("kind"))
-            if kind in found or kind == "scalpel" or tool.HasField("cautery"):
+            if kind in found or kind in ("scalpel", "scissors") or tool.HasField("cautery"):
                 continue
             shape = shape_of(tool)
             core, turn = cores[kind](shape)

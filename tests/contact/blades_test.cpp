@@ -9,6 +9,7 @@
 #include "support/backends.h"
 #include "support/blades.h"
 #include "support/momentum.h"
+#include "support/reaction.h"
 
 /// Blades: force and work of a cut follow from toughness alone, and the tissue receives what the blade exerts.
 namespace tensormass::contact {
@@ -118,6 +119,21 @@ TEST_P(Blades, KeepTheirForceWhileTheyStandStill) {
   }
   EXPECT_GT(-world->readings()[0].force_n[0], 0.8 * limit_n);
   EXPECT_LT(world->sweeps().fracture_j(), fracture_j + 0.05 * limit_n * 0.01) << "it does not creep on";
+}
+
+/// At rest, what holds the block holds against the blade, and nothing else does.
+TEST_P(Blades, PushTheBaseWithTheForceThatTheyReport) {
+  for (const bool selective : {false, true}) {
+    const BladeScene of{.selective = selective};
+    v1::Scene scene = tests::block_with_scalpel(of);
+    scene.mutable_bodies(0)->set_rayleigh_mass_per_s(20);
+    const auto world = start(scene);
+    for (int i = 0; i < 200; ++i) ASSERT_TRUE(move_and_step(*world, {0.05 * of.dt_s, 0.01 * of.dt_s, 0.02 * of.dt_s}));
+    for (int i = 0; i < 1500; ++i) ASSERT_TRUE(move_and_step(*world, Vector3d::Zero()));
+    const Vector3d force_n = world->readings()[0].force_n;
+    EXPECT_GT(force_n.norm(), 0.1);
+    EXPECT_LT((tests::reaction_of(*world) - force_n).norm(), 1e-5 * force_n.norm());
+  }
 }
 
 TEST_P(Blades, FeelNothingBackwardsNorUpToWhereTheyHadBeen) {

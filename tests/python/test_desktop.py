@@ -82,6 +82,12 @@ def test_tools_have_their_sizes() -> None:
     assert bounds(shape(plane=scene_pb2.Plane())) == [-side, -side, 0, side, side, 0]
 
 
+def test_the_blades_of_scissors_open() -> None:
+    scissors = shape(scissors=scene_pb2.Scissors(blade_length_m=0.05, edge_offset_m=0.002))
+    shut, opened = (tool_mesh(scissors, joints, SCENE_RADIUS_M).bounds for joints in ([0.0], [1.0]))
+    assert opened[1] - shut[1] == pytest.approx(0.05 * np.sin(0.5), rel=0.05)
+
+
 def test_the_jaws_of_a_grasper_open() -> None:
     grasper = shape(0.002, grasper=scene_pb2.Grasper(jaw_length_m=0.03))
     closed, opened = (tool_mesh(grasper, joints, SCENE_RADIUS_M).bounds for joints in ([0.0], [1.0]))

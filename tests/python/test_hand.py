@@ -9,7 +9,7 @@ import pytest
 
 import tensormass as tm
 from tensormass._src.demo import builtin_scene, builtin_scenes
-from tensormass_tools.hand import HandScript, script_of
+from tensormass_tools.hand import HandScript, script_of, scripts_of
 
 SCRIPT = """
 tool: probe
@@ -101,14 +101,15 @@ def test_each_scripted_hand_moves_a_tool_of_its_scene() -> None:
     scripted = [name for name in builtin_scenes() if script_of(name) is not None]
     assert "retract" in scripted
     for name in scripted:
-        path = script_of(name)
         found = builtin_scene(name)
-        assert path is not None
         assert found is not None
-        script = HandScript.read(path)
         scene = tm.Scene.from_file(found[0].stem)
-        (tool,) = [tool for tool in scene.message.tools if tool.name == script.tool]
-        start = np.array([tool.position_m.x, tool.position_m.y, tool.position_m.z])
-        np.testing.assert_allclose(script.positions_m[0], start), "the tool does not jump"
-        np.testing.assert_allclose(script.positions_m[-1], start)
+        for named, path in scripts_of(name).items():
+            script = HandScript.read(path)
+            assert script.tool == named
+            (tool,) = [tool for tool in scene.message.tools if tool.name == named]
+            start = np.array([tool.position_m.x, tool.position_m.y, tool.position_m.z])
+            np.testing.assert_allclose(script.positions_m[0], start), "the tool does not jump"
+            np.testing.assert_allclose(script.positions_m[-1], start)
+            np.testing.assert_allclose(script.joint_values[[0, -1]], [tool.joint_values] * 2)
     assert script_of("demo") is None

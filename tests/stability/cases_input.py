@@ -133,8 +133,8 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
         if law == "transversely_isotropic":
             body.element_fields.fibre_directions = packed([[1, 0, 0]])
     for kind in scene_pb2.Tool.DESCRIPTOR.oneofs_by_name["kind"].fields:
-        if kind.name == "scalpel":
-            continue  # `cutting_scene` has it
+        if kind.name in ("scalpel", "scissors"):
+            continue  # `cutting_scene` has them
         tool = scene.tools.add(name=kind.name, max_speed_m_per_s=0.5)
         tool.mass_kg, tool.coupling_stiffness_n_per_m, tool.coupling_damping_n_s_per_m = 0.05, 500, 1
         tool.max_force_n, tool.max_torque_n_m, tool.max_joint_load = 30, 1, 1
@@ -171,7 +171,7 @@ def burning_scene(engine: Engine) -> scene_pb2.Scene:
 
 
 def cutting_scene(engine: Engine) -> scene_pb2.Scene:
-    """A scene that a scalpel may cut."""
+    """A scene that a scalpel and scissors may cut."""
     mesh = box("tetrahedron", (2, 1, 1), (CUBE_M,) * 3)
     scene = real_time(engine, Problem(mesh, tissue("hooke"), [clamped(mesh)]))
     scene.editing.cutting.SetInParent()
@@ -180,6 +180,13 @@ def cutting_scene(engine: Engine) -> scene_pb2.Scene:
     tool.scalpel.length_m, tool.scalpel.thickness_m, tool.scalpel.spacing_m = 0.02, 5e-4, 1e-3
     tool.scalpel.tip_offset_m.z = -0.01
     tool.position_m.z = 0.05
+    tool = scene.tools.add(name="scissors")
+    shape = tool.scissors
+    shape.radius_m, shape.blade_length_m, shape.edge_offset_m = 2e-3, 0.02, 1e-3
+    shape.thickness_m, shape.spacing_m = 5e-4, 1e-3
+    shape.tip_offset_m.z = -0.01
+    tool.position_m.z = 0.1
+    tool.joint_values.append(0.5)
     return scene
 
 

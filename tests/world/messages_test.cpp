@@ -230,10 +230,11 @@ TEST(Messages, EventsSayInWordsWhatHappened) {
   slot.log.add({.kind = EventKind::kHeld,
                 .guard = {.step = 9, .first = {Breach::kNotFinite}, .last = {}, .outcome = GuardEvent::Outcome::kHeld}},
                9);
+  slot.log.add({.kind = EventKind::kCutEnded, .body = 1, .tool = 0, .value = 2e-6, .work_j = 3e-4}, 10);
   v1::SceneEvents events;
   fill_events(model, slot, events);
   EXPECT_EQ(events.topology_version(), 42u);
-  ASSERT_EQ(events.events_size(), 5);
+  ASSERT_EQ(events.events_size(), 6);
   EXPECT_EQ(events.events(0).text(), "2 mm³ of body 'second' burnt away by 'probe'");
   EXPECT_EQ(events.events(0).tool(), "probe");
   EXPECT_EQ(events.events(0).position_m().z(), 3);
@@ -245,7 +246,9 @@ TEST(Messages, EventsSayInWordsWhatHappened) {
   EXPECT_EQ(events.events(2).attachment(), "ligament");
   EXPECT_EQ(events.events(3).text(), "2 springs of attachment 'ligament' broke");
   EXPECT_NE(events.events(4).text().find("the tissue was held"), std::string::npos) << events.events(4).text();
-  for (int kind = v1::SceneEvent::KIND_ABLATED; kind <= v1::SceneEvent::KIND_CUT; ++kind) {
+  EXPECT_EQ(events.events(5).text(), "a cut of body 'second' by 'probe' ends: 2 mm² and 0.3 mJ");
+  EXPECT_EQ(events.events(5).work_j(), 3e-4);
+  for (int kind = v1::SceneEvent::KIND_ABLATED; kind <= v1::SceneEvent::KIND_CUT_ENDED; ++kind) {
     EventsSlot one{{}, 1};
     one.log.add({.kind = static_cast<EventKind>(kind)}, 1);
     fill_events(model, one, events);

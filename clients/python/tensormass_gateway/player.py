@@ -23,7 +23,8 @@ class Mark(NamedTuple):
 
     time_s: float
     kind: str
-    """ablated, adjust, contact, cut, guard, piece_free, recovery, reset, restore, severed or stop"""
+    """ablated, adjust, contact, cut, cut_begun, cut_ended, guard, piece_free, recovery, reset, restore, severed or
+    stop"""
     text: str
 
 

@@ -120,9 +120,15 @@ class HandScript:
 
 
 def script_of(scene: str) -> Path | None:
-    """Returns the hand script that comes with a built-in scene."""
+    """Returns the hand script that comes with a built-in scene; of several that of its first tool."""
     path = _HANDS / f"{scene}.yaml"
     return path if path.is_file() else None
+
+
+def scripts_of(scene: str) -> dict[str, Path]:
+    """Returns the hand scripts that come with a built-in scene, by tool: SCENE.yaml, and SCENE-2.yaml for another."""
+    paths = [_HANDS / f"{scene}.yaml", _HANDS / f"{scene}-2.yaml"]
+    return {HandScript.read(path).tool: path for path in paths if path.is_file()}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -200,8 +200,7 @@ def _start_hands(
     args: argparse.Namespace, server: Server, handle: SceneHandle, parts: contextlib.AsyncExitStack
 ) -> list[tuple[ChildProcess, Path]]:
     device = find_program("tensormass-haptic", "TENSORMASS_HAPTIC")
-    script = hand.script_of(args.scene)
-    scripted = hand.HandScript.read(script).tool if script is not None else None
+    scripts = hand.scripts_of(args.scene)
     folder = Path(parts.enter_context(tempfile.TemporaryDirectory(prefix="tensormass-run-")))
     hands = []
     for tool in handle.topology().tools:
@@ -210,7 +209,7 @@ def _start_hands(
         log_file = folder / f"{tool.name}.log"
         where = ["--server", server.address, "--scene", handle.name]
         command: list[str | Path] = [device, *where, "--tool", tool.name, "--transport", args.haptic_transport]
-        if script is not None and tool.name == scripted:
+        if script := scripts.get(tool.name):
             command = [sys.executable, "-m", "tensormass", "hand", script, *where, "--transport", args.haptic_transport]
         with log_file.open("wb") as log:
             process = ChildProcess(command, output=log)

@@ -76,6 +76,17 @@ it("draws a retractor from its toe along the blade, and up its shaft", () => {
   expect(box.max.toArray()).toEqual(close(0.045, 0.005, 0.205));
 });
 
+it("draws the blades of scissors as far open as they are", () => {
+  const value = { radiusM: 0.002, bladeLengthM: 0.04, thicknessM: 0.0005, spacingM: 0.002, edgeOffsetM: 0.001 };
+  const tool = { name: "probe", radiusM: 0.002, tool: { kind: { case: "scissors" as const, value } } };
+  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, LOW);
+  instruments.update(decodeFrame(frameBytes({ tools: [{ tool: "probe", jointValues: [1] }] })));
+  const box = new THREE.Box3().setFromObject(instruments.shapes()[0]!);
+  const aside = 0.002 + 0.04 * Math.sin(0.5);
+  expect(box.min.toArray()).toEqual(near(-aside, -0.002, 0.04 * (1 - Math.cos(0.5)) - 0.002));
+  expect(box.max.toArray()).toEqual(near(aside, 0.002, 0.042));
+});
+
 it("draws the jaws of a grasper as far open as they are", () => {
   const value = { radiusM: 0.005, jawLengthM: 0.04 };
   const tool = { name: "probe", radiusM: 0.005, tool: { kind: { case: "grasper" as const, value } } };

@@ -2,7 +2,7 @@
 
 #include <array>
 
-#include "physics/tool/tool.h"
+#include "physics/tool/edge.h"
 
 namespace tensormass::physics {
 
@@ -19,12 +19,23 @@ struct Scalpel {
   static constexpr bool kIsSolid = true;  // it has no core that pushes
   static constexpr std::uint32_t kCorePoints = 0;
   static constexpr std::uint32_t kContactPoints = 0;
+  static constexpr std::uint32_t kEdges = 1;
 
   static double length_m(const ToolParameters& parameters) { return parameters[1] / 2; }
   static double reach_m(const ToolParameters& parameters) { return parameters[0]; }
-  /// Returns the number of points of its edge, both ends included.
-  static std::uint32_t blade_points(const ToolParameters& parameters) {
-    return static_cast<std::uint32_t>(std::ceil(parameters[0] / parameters[2] - 1e-9)) + 1;
+  static std::uint32_t edge_points(const ToolParameters& parameters) { return points_of_edge(parameters); }
+
+  /// Points are counted from the tip.
+  template <class Real>
+  TM_HOST_DEVICE static EdgePoint<Real> edge_point(const PlacedTool<Real>& tool, std::uint32_t, std::uint32_t i,
+                                                   std::uint32_t last) {
+    EdgePoint<Real> out;
+    out.cuts = tool.axis(0);
+    out.along = tool.axis(2);
+    const Real spacing = tool.parameters[0] / static_cast<Real>(last);
+    out.position = tool.position() + out.along * (spacing * static_cast<Real>(i));
+    out.is_past = false;
+    return out;
   }
 
   template <class Real>

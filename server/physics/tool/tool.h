@@ -13,8 +13,8 @@
 ///
 /// There are three families. A *thin* tool is a rigid core and a radius r: its surface is at the distance r from the
 /// core. A point makes a sphere, a segment a capsule, a bent line a retractor. A *solid* (physics/tool/solid.h) is a
-/// volume, given by its signed distance alone: a box, a plane, a mesh. A *blade* (contact/blades.h) has no contact
-/// points: it cuts. Where it must count as one of the others, it is a solid.
+/// volume, given by its signed distance alone: a box, a plane, a mesh. A *blade* (physics/tool/edge.h) has no contact
+/// points: it cuts. It is also one of the others: a solid, or thin if it dissects by its core.
 ///
 ///        r  ______________          c0, c1  core points
 ///       ___/              \___      x       a point of the scene [m]

@@ -28,8 +28,8 @@ class Event:
     step: int
     #: On the server's clock, nanoseconds since the Unix epoch.
     server_time_ns: int
-    #: ablated, piece_free, severed, broken, adjusted, reset, restored, guard, held or cut; its number if of a
-    #: newer daemon.
+    #: ablated, piece_free, severed, broken, adjusted, reset, restored, guard, held, cut, cut_begun or cut_ended; its
+    #: number if of a newer daemon.
     kind: str
     #: Name of the body; empty: none in particular.
     body: str
@@ -43,6 +43,8 @@ class Event:
     text: str
     #: Name of the attachment whose springs these are; empty: none in particular.
     attachment: str = ""
+    #: Work of fracture [J], of cut_ended.
+    work_j: float = 0.0
 
     @staticmethod
     def from_message(message: event_pb2.SceneEvent) -> Event:
@@ -60,6 +62,7 @@ class Event:
             position_m=np.array([place.x, place.y, place.z]) if message.HasField("position_m") else None,
             text=message.text,
             attachment=message.attachment,
+            work_j=message.work_j,
         )
 
 

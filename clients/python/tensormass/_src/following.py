@@ -30,7 +30,7 @@ _SNAPSHOT_HEADER_BYTES = 32
 def has_blades(topology: stream_pb2.Topology) -> bool:
     """Returns whether a tool cuts. A replay makes the cuts of its recording and none of its own, so such a scene is
     followed step by step."""
-    return any(shape.tool.HasField("scalpel") for shape in topology.tools)
+    return any(shape.tool.WhichOneof("kind") in ("scalpel", "scissors") for shape in topology.tools)
 
 
 class Followed(NamedTuple):

@@ -2,6 +2,7 @@
 
 sphere   a ball                        retractor  a blade along x, then a shaft along z
 capsule  a bar along z                 grasper    two jaws from a hinge on z, open by its joint in the plane of x, z
+                                       scissors   two blades, the same way
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def tool_mesh(shape: stream_pb2.ToolShape, joint_values: Sequence[float], scene_
         mesh = _solid(shape.name, shape.tool.mesh)
     else:
         mesh = _bars(_corners(shape.tool, joint_values), shape.radius_m)
-        if kind in (None, "spherical_probe", "grasper"):
+        if kind in (None, "spherical_probe", "grasper", "scissors"):
             mesh += _shaft(shape, scene_radius_m)
     offset = shape.tip_offset_m
     return mesh.translate((offset.x, offset.y, offset.z), inplace=False)
@@ -57,12 +58,19 @@ def _corners(tool: scene_pb2.Tool, joint_values: Sequence[float]) -> list[tuple[
     if kind == "retractor":
         blade = tool.retractor.blade_length_m
         return [(0, 0, 0), (blade, 0, 0), (blade, 0, tool.retractor.shaft_length_m)]
-    if kind == "grasper":
-        jaw = tool.grasper.jaw_length_m
+    jaw = _jaw_length_m(tool)
+    if jaw > 0:
         half = (joint_values[0] if joint_values else 0.0) / 2
         x, z = jaw * math.sin(half), jaw * (1 - math.cos(half))
         return [(-x, 0, z), (0, 0, jaw), (x, 0, z)]
     return [(0, 0, 0)]
+
+
+def _jaw_length_m(tool: scene_pb2.Tool) -> float:
+    """Returns the length of the jaws of a grasper and of the blades of scissors; 0 for all others."""
+    if tool.WhichOneof("kind") == "scissors":
+        return tool.scissors.blade_length_m
+    return tool.grasper.jaw_length_m
 
 
 def _bars(corners: Sequence[tuple[float, float, float]], radius_m: float) -> pv.PolyData:
@@ -77,9 +85,8 @@ def _bars(corners: Sequence[tuple[float, float, float]], radius_m: float) -> pv.
 
 def _shaft(shape: stream_pb2.ToolShape, scene_radius_m: float) -> pv.PolyData:
     """Returns a shaft along z that is not simulated: it shows how the tool is turned."""
-    is_grasper = shape.tool.WhichOneof("kind") == "grasper"
-    start = shape.tool.grasper.jaw_length_m if is_grasper else 0.0
-    radius_m = shape.radius_m if is_grasper else _SHAFT_SHARE * shape.radius_m
+    start = _jaw_length_m(shape.tool)
+    radius_m = shape.radius_m if start > 0 else _SHAFT_SHARE * shape.radius_m
     line = pv.Line((0, 0, start), (0, 0, start + _SHAFT_LENGTH * scene_radius_m))
     return line.tube(radius=radius_m, n_sides=_SIDES)
 

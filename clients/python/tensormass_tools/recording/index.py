@@ -56,6 +56,8 @@ MARKED_EVENTS = frozenset(
     {
         event_pb2.SceneEvent.KIND_ABLATED,
         event_pb2.SceneEvent.KIND_CUT,
+        event_pb2.SceneEvent.KIND_CUT_BEGUN,
+        event_pb2.SceneEvent.KIND_CUT_ENDED,
         event_pb2.SceneEvent.KIND_PIECE_FREE,
         event_pb2.SceneEvent.KIND_SEVERED,
     }

@@ -355,8 +355,12 @@ function coreOf(where: string, tool: Tool | undefined): ToolCore {
       const blade = length("blade_length_m", kind.value.bladeLengthM);
       return rigid(tip, [blade, 0, 0], [blade, 0, length("shaft_length_m", kind.value.shaftLengthM)]);
     }
+    case "scissors":
     case "grasper": {
-      const jaw = length("jaw_length_m", kind.value.jawLengthM);
+      const jaw =
+        kind.case === "grasper"
+          ? length("jaw_length_m", kind.value.jawLengthM)
+          : length("blade_length_m", kind.value.bladeLengthM);
       const hinge: Vector = [0, 0, jaw];
       const tipOf = (angle: number): Vector => [jaw * Math.sin(angle), 0, jaw * (1 - Math.cos(angle))];
       return {

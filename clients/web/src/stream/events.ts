@@ -36,6 +36,10 @@ export function eventLabel({ kind }: Pick<SceneEvent, "kind">): string {
       return "recovery";
     case Kind.CUT:
       return "cut";
+    case Kind.CUT_BEGUN:
+      return "cut begins";
+    case Kind.CUT_ENDED:
+      return "cut ends";
     default:
       return "event";
   }
