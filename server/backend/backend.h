@@ -125,7 +125,13 @@ class StepStopped final : public std::exception {
   const char* what() const noexcept override { return "the step was stopped"; }
 };
 
-/// The state of one scene on one device. Not thread-safe, except for `stop`. A step allocates nothing.
+/// Values for the buffers of a state, ready on its device: SceneState::prepare makes it.
+class PreparedEdit {
+ public:
+  virtual ~PreparedEdit() = default;
+};
+
+/// The state of one scene on one device. Not thread-safe, except for `stop` and `prepare`. A step allocates nothing.
 class SceneState {
  public:
   virtual ~SceneState() = default;
@@ -149,6 +155,15 @@ class SceneState {
   /// Takes over an edit of the model that this state was created from (model/edit.h): copies what the edit lists, stops
   /// rows that lost their material and breaks springs. Needs no memory, and costs as much as the edit touched.
   virtual void apply(const model::ModelEdit& edit) = 0;
+  /// Makes the entries of a model ready for `apply`, while the scene steps. Any thread may call it. Throws
+  /// std::bad_alloc or what the device throws.
+  ///
+  ///   next     has the sizes of the model that this state was created from
+  ///   ranges   entries of `next`
+  virtual std::unique_ptr<PreparedEdit> prepare(const model::Model& next,
+                                                const std::vector<model::EditRange>& ranges) const = 0;
+  /// Takes over what this state has prepared. Costs a copy within the device.
+  virtual void apply(const PreparedEdit& edit) = 0;
   /// Copies all buffers that steps only read, in the order of their allocation; slow, for tests.
   virtual std::vector<ConstantBuffer> read_constants() = 0;
   /// Copies which springs of attachments are broken, and by what. broken: [spring_count] view::LinksView::broken;

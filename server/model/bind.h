@@ -240,7 +240,7 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.links.patch_candidates = arena.template constant<uint32_t>("contact candidates of patches", links.patch_candidates);
   s.links.candidates = arena.template constant<uint32_t>("contact candidates", links.candidates);
   s.links.candidate_area = arena.template constant<Real>("areas of contact candidates", links.candidate_area);
-  s.links.candidate_modulus = arena.template constant<Real>("moduli of contact candidates", links.candidate_modulus);
+  s.links.candidate_modulus = place_buffer<EditBuffer::kCandidateModuli, Real>(m, arena, bound.buffers);
   s.links.side_groups = arena.template constant<uint32_t>("boxes of bodies", links.side_groups);
   s.links.side_numbers = arena.template constant<Real>("contacts of bodies", links.side_numbers);
   const std::size_t edge_slots = links.edge_slot_count(), edges_from = 4 * std::size_t{links.candidate_count()};
@@ -254,7 +254,7 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.links.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips of bodies", link_slips);
   s.links.edges.candidate_count = links.edge_candidate_count();
   s.links.edges.rows = arena.template constant<uint32_t>("sharp edges", links.edge_rows);
-  s.links.edges.numbers = arena.template constant<Real>("areas of sharp edges", links.edge_numbers);
+  s.links.edges.numbers = place_buffer<EditBuffer::kEdgeNumbers, Real>(m, arena, bound.buffers);
   s.links.edges.triangle_edges = arena.template constant<uint32_t>("sharp edges of triangles", links.triangle_edges);
   s.links.edges.patch_candidates =
       arena.template constant<uint32_t>("edge candidates of patches", links.patch_edge_candidates);
@@ -368,7 +368,8 @@ view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& are
   if (m.layout.storage == matrix::Storage::kEdges) {
     placed.rest = arena.template constant<Real>("element rest shapes", group.rest);
     e.rest = placed.rest;
-    e.parameters = arena.template constant<Real>("element parameters", group.parameters);
+    placed.parameters = arena.template constant<Real>("element parameters", group.parameters);
+    e.parameters = placed.parameters;
   } else {
     e.record_reals = group.record_reals();
     placed.records = arena.template generated<Real>("element records", std::size_t{group.stride} * e.record_reals,

@@ -288,6 +288,12 @@ class BoundaryReader {
   void add_gravity() {
     if (!settings_.has_gravity) return;
     const std::uint32_t schedule = index_of(settings_.gravity_schedule);
+    if (schedule == mesh::kNone) {
+      if (any_external_) out_.loads = external_;
+      write_weights(out_.loads, row_mass_, settings_.gravity_m_per_s2, external_);
+      any_external_ = true;  // also without weight: gravity may change while the scene steps
+      return;
+    }
     for (std::size_t i = 0; i < layout_.row_count; ++i) {
       add_external(i, row_mass_[i] * settings_.gravity_m_per_s2, schedule);
     }

@@ -174,20 +174,27 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kBoundaryConditions));
   store(make_row_fields(bodies, damping, links, model, model.layout), model);
   TM_ASSIGN_OR_RETURN(boundary, make_boundary_conditions(scene, bodies, model, model.layout, model.row_mass));
+  ValueTables values;
+  values.loads = std::move(boundary.loads);
   store(std::move(boundary), model);
 
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kElements));
   TM_ASSIGN_OR_RETURN(elements, group_elements(bodies, clusters.clusters, model.layout));
   TM_RETURN_IF_ERROR(check_integrator(model, elements.groups));
   TM_ASSIGN_OR_RETURN(lists, list_elements_of_rows(model.layout, elements));
+  values.groups = std::move(elements.sources);
+  values.linear = std::move(elements.linear);
+  for (const ReadBody& body : bodies.bodies) {
+    values.bodies.push_back({body.loaded_element_count, body.element_laws, body.element_materials});
+  }
+  model.value_tables = std::make_shared<const ValueTables>(std::move(values));
   store(std::move(elements), std::move(lists), model);
   store(choose_solve(model, links, model.layout, model.groups, policy), model);
 
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kSurfaces));
   if (!model.tools.empty() || !links.contacts.empty()) {
     model.contact = make_contact_surface(bodies, model.layout);
-    const std::vector<SurfaceModuli> moduli = moduli_of_surfaces(bodies.bodies, model.layout, model.contact);
-    for (std::size_t b = 0; b < moduli.size(); ++b) static_cast<SurfaceModuli&>(model.bodies[b]) = moduli[b];
+    write_surface_moduli(model.layout, model.contact, model.bodies);
   }
   if (!links.empty()) {
     model.links = make_links(

@@ -13,6 +13,7 @@
 #include "model/compile.h"
 #include "model/model.h"
 #include "model/read_parts.h"
+#include "model/values.h"
 #include "physics/element/element.h"
 #include "physics/lists.h"
 
@@ -62,6 +63,7 @@ struct BoundaryConditions {
   std::vector<std::uint8_t> held;               ///< [row] bits of the directions that are fixed or prescribed
   std::vector<std::uint32_t> fixed_node_count;  ///< [body] BodyModel::fixed_node_count
   std::vector<double> external, initial_displacement, initial_velocity;
+  std::vector<double> loads;  ///< ValueTables::loads
   PrescribedRows prescribed_rows;
   std::vector<Prescribed> prescribed;
   PressureSurface pressure;
@@ -78,6 +80,8 @@ void hold_directions(std::span<const std::uint8_t> held, std::span<double> rest)
 struct GroupedElements {
   std::vector<ElementGroup> groups;  ///< without row_lists
   std::vector<double> constant_edges;
+  std::vector<ValueTables::Group> sources;  ///< [group] ValueTables::groups
+  std::vector<RecordPlace> linear;          ///< ValueTables::linear
 };
 /// Puts every element into a group, and adds up the tensors of linear laws. Fails if an element is folded.
 Result<GroupedElements> group_elements(const ReadBodies& bodies, std::span<const Cluster> clusters,
@@ -99,9 +103,6 @@ SolveChoice choose_solve(const Settings& settings, const ReadLinks& links, const
 
 /// Makes the triangles that tools and bodies can touch: the boundary of all bodies.
 ContactSurface make_contact_surface(const ReadBodies& bodies, const matrix::Layout& layout);
-/// Returns the moduli behind the contact surface of each body.
-std::vector<SurfaceModuli> moduli_of_surfaces(std::span<const ReadBody> bodies, const matrix::Layout& layout,
-                                              const ContactSurface& contact);
 
 struct LinkInput {
   const ReadBodies& bodies;

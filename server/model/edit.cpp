@@ -8,7 +8,7 @@
 #include <fmt/format.h>
 
 #include "core/assert.h"
-#include "model/pair_stiffness.h"
+#include "model/values.h"
 #include "physics/element/element.h"
 #include "physics/lists.h"
 
@@ -24,35 +24,6 @@ constexpr std::size_t kUsualRanges = std::size_t{1} << 16;
 constexpr std::uint32_t kUsualSurface = 1u << 16;
 /// Elements that write_all computes at once.
 constexpr std::size_t kElementsAtOnce = 16384;
-
-/// K_kl of a record with a linear law, from its rest shape as it is now.
-template <class Shape, class Law>
-Mat3<double> pair_stiffness(const ElementGroup& group, std::uint32_t place, std::uint32_t k, std::uint32_t l) {
-  Mat3<double> sum = Mat3<double>::Zero();
-  for (std::size_t q = 0; q < group.point_count; ++q) {
-    const auto gradients = physics::PointGradients<Shape, double>::read([&](int c) {
-      return group.rest[(q * physics::kRestReals<Shape> + static_cast<std::size_t>(c)) * group.stride + place];
-    });
-    std::array<double, Law::kParameterCount> parameters;
-    for (std::size_t c = 0; c < parameters.size(); ++c) parameters[c] = group.parameters[c * group.stride + place];
-    if (!group.shares.empty()) {
-      Law::scale_moduli(parameters.data(), group.shares[q].deviatoric, group.shares[q].volumetric);
-    }
-    sum += pair_stiffness_at_point<Law>(gradients.a[k], gradients.a[l], gradients.weight, parameters.data());
-  }
-  return sum;
-}
-
-Mat3<double> pair_stiffness(const ElementGroup& group, std::uint32_t place, std::uint32_t k, std::uint32_t l) {
-  Mat3<double> out = Mat3<double>::Zero();
-  physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
-    using Law = typename decltype(law)::Type;
-    if constexpr (Law::kConstantStiffness) {
-      out = pair_stiffness<typename decltype(shape)::Type, Law>(group, place, k, l);
-    }
-  });
-  return out;
-}
 
 }  // namespace
 
@@ -211,6 +182,58 @@ void Editor::write_all(Model& m) {
     write(m, left.first(std::min(left.size(), kElementsAtOnce)));
   }
   edit_ = {};
+}
+
+void Editor::write_values(Model& m) {
+  ++number_;
+  for (std::uint32_t row = 0; row < m.layout.row_count; ++row) write_external(m, row);
+  for (std::uint32_t record = 0; record < record_met_.size(); ++record) write_linear(m, record);
+  edit_ = {};
+}
+
+const ModelEdit& Editor::take_values(Model& m, const Model& next) {
+  edit_.clear();
+  ++number_;
+  rows_.clear();
+  records_.clear();
+  m.gravity_m_per_s2 = next.gravity_m_per_s2;
+  m.external = next.external;
+  m.constant_edges = next.constant_edges;
+  m.element_moduli = next.element_moduli;
+  for (std::size_t i = 0; i < m.inertia.size(); i += 4) {
+    for (const std::size_t c : {1, 2}) m.inertia[i + c] = next.inertia[i + c];
+  }
+  for (std::size_t g = 0; g < m.groups.size(); ++g) m.groups[g].parameters = next.groups[g].parameters;
+  for (std::size_t b = 0; b < m.bodies.size(); ++b) static_cast<SurfaceModuli&>(m.bodies[b]) = next.bodies[b];
+  write_triangle_moduli(m);
+  if (m.contact.triangle_moduli != next.contact.triangle_moduli) {
+    add(EditBuffer::kTriangleModuli, 0, m.contact.triangle_moduli.size());
+  }
+  const auto meet = [&](std::vector<std::uint32_t>& met, std::uint32_t item, std::vector<std::uint32_t>& list) {
+    if (std::exchange(met[item], number_) != number_) list.push_back(item);
+  };
+  for (std::uint32_t e = 0; e < kept_.size(); ++e) {
+    if (!(kept_[e] < 1)) continue;
+    meet(record_met_, e, records_);
+    if (tables().cluster_of[e] != kNone) meet(record_met_, tables().cluster_of[e], records_);
+    for (const std::uint32_t row : tables().rows[e]) meet(row_met_, row, rows_);
+  }
+  for (const std::uint32_t row : rows_) {
+    write_external(m, row);
+    if (!m.quasi_static()) add(EditBuffer::kInertia, 4 * std::size_t{row}, 1);
+  }
+  for (const std::uint32_t record : records_) write_linear(m, record);
+  return edit_;
+}
+
+/// Writes the moduli behind all contact triangles. Room keeps those of the last triangle that was there.
+void Editor::write_triangle_moduli(Model& m) const {
+  for (std::uint32_t t = 0; t < triangle_piece_.size(); ++t) {
+    const std::uint32_t element = element_behind(t);
+    for (std::size_t c = 0; element != kNone && c < 2; ++c) {
+      m.contact.triangle_moduli[2 * std::size_t{t} + c] = m.element_moduli[2 * std::size_t{element} + c];
+    }
+  }
 }
 
 void Editor::add(EditBuffer buffer, std::size_t begin, std::size_t count, std::size_t step, std::uint32_t group) {
@@ -463,8 +486,8 @@ void Editor::write_linear(Model& m, std::uint32_t record) {
           if (summed) break;
           for (std::size_t other = 0; other < nodes_of(corner.item); ++other) {
             if (rows_of(corner.item, other) != row_l) continue;
-            edge += pair_stiffness(m.groups[tables().record_group[corner.item]], tables().places[corner.item].front(),
-                                   corner.node, static_cast<std::uint32_t>(other));
+            edge += constant_tensor(m.groups[tables().record_group[corner.item]], tables().places[corner.item].front(),
+                                    corner.node, static_cast<std::uint32_t>(other));
           }
         }
         summed = true;

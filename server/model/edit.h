@@ -98,6 +98,11 @@ class Editor {
   }
   /// Computes every value of the model that edits compute, once, so that healing gives the same bits.
   void write_all(Model& m);
+  /// Computes loads and constant tensors of a model without edits that got other values (values.h).
+  void write_values(Model& m);
+  /// Gives the edited model the values of another one of its scene that has no edits (with_values). Returns the entries
+  /// that differ from those of `next` because material is gone.
+  const ModelEdit& take_values(Model& m, const Model& next);
 
   double kept(std::uint32_t element) const { return kept_[element]; }
   double volume_m3(std::uint32_t element) const { return tables().volumes[element]; }
@@ -157,6 +162,7 @@ class Editor {
   void write_linear(Model& m, std::uint32_t record);
   void write_face_pressures(Model& m, std::uint32_t element);
   void write_checked(Model& m, std::uint32_t element);
+  void write_triangle_moduli(Model& m) const;
   void add(EditBuffer buffer, std::size_t begin, std::size_t count, std::size_t step = 1, std::uint32_t group = 0);
   std::vector<std::span<const Ablation>> parts_to_heal();
 

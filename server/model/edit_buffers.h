@@ -45,10 +45,14 @@ enum class EditBuffer : std::uint8_t {
   // The visible surface:
   kVisibleRows,
   kVisibleWeights,
+  // Contact between bodies:
+  kCandidateModuli,
+  kEdgeNumbers,
   kCount,
   // Those of a group (EditRange::group):
   kElementRows = kCount,
-  kElementRest,  ///< kEdges: as ElementGroup::rest; else within the records
+  kElementRest,        ///< kEdges: as ElementGroup::rest; else within the records
+  kElementParameters,  ///< likewise ElementGroup::parameters
 };
 
 /// Entries of one vector of the model: begin, begin + step, ...
@@ -91,15 +95,18 @@ TM_EDIT_BUFFER(kIncidence, contact.incidence, "contact incidence", std::uint32_t
 TM_EDIT_BUFFER(kIncidenceEnd, contact.incidence_end, "ends of contact incidence", std::uint32_t);
 TM_EDIT_BUFFER(kVisibleRows, visible.rows, "visible rows", std::uint32_t);
 TM_EDIT_BUFFER(kVisibleWeights, visible.weights, "visible weights", Real);
+TM_EDIT_BUFFER(kCandidateModuli, links.candidate_modulus, "moduli of contact candidates", Real);
+TM_EDIT_BUFFER(kEdgeNumbers, links.edge_numbers, "areas of sharp edges", Real);
 #undef TM_EDIT_BUFFER
 
 /// Places of the buffers of a scene, [EditBuffer]. Null: the scene does not need it.
 using SceneBuffers = std::array<void*, static_cast<std::size_t>(EditBuffer::kCount)>;
-/// The same of a group. kEdges has `rest`, other storages have `records`.
+/// The same of a group. kEdges has `rest` and `parameters`, other storages have `records`.
 template <class Real>
 struct GroupBuffers {
   std::uint32_t* rows = nullptr;
   Real* rest = nullptr;
+  Real* parameters = nullptr;
   Real* records = nullptr;
 };
 
@@ -118,6 +125,13 @@ inline std::size_t place_in_records(const ElementGroup& group, std::size_t i) {
   const std::size_t component = i / group.stride, element = i % group.stride;
   const std::size_t step = view::point_stride(static_cast<std::uint32_t>(reals), group.point_count);
   return element * group.record_reals() + component / reals * step + component % reals;
+}
+
+/// The same of the i-th entry of ElementGroup::parameters.
+inline std::size_t place_of_parameter(const ElementGroup& group, std::size_t i) {
+  const std::size_t reals = group.rest.size() / group.stride / group.point_count;
+  const std::size_t step = view::point_stride(static_cast<std::uint32_t>(reals), group.point_count);
+  return i % group.stride * group.record_reals() + group.point_count * step + i / group.stride;
 }
 
 namespace detail {
@@ -151,6 +165,14 @@ void for_each_write(const Model& m, const std::vector<EditRange>& ranges, const 
       each(range, group.rest.size(), [&](std::size_t i) {
         const Real value = static_cast<Real>(group.rest[i]);
         write(to.rest != nullptr ? to.rest + i : to.records + place_in_records(group, i), &value, sizeof value);
+      });
+    } else if (range.buffer == EditBuffer::kElementParameters) {
+      const ElementGroup& group = m.groups[range.group];
+      const GroupBuffers<Real>& to = groups[range.group];
+      each(range, group.parameters.size(), [&](std::size_t i) {
+        const Real value = static_cast<Real>(group.parameters[i]);
+        write(to.records == nullptr ? to.parameters + i : to.records + place_of_parameter(group, i), &value,
+              sizeof value);
       });
     } else {
       constexpr auto kBuffers = static_cast<std::size_t>(EditBuffer::kCount);

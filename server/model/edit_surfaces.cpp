@@ -255,7 +255,7 @@ void Editor::add_triangle(Model& m, std::uint32_t piece, std::uint32_t element) 
   }
   contact.triangle_area[t] = 0.5 * (x[1] - x[0]).cross(x[2] - x[0]).norm();
   for (std::size_t c = 0; c < 2; ++c) {
-    contact.triangle_moduli[2 * std::size_t{t} + c] = tables().moduli[2 * std::size_t{element} + c];
+    contact.triangle_moduli[2 * std::size_t{t} + c] = m.element_moduli[2 * std::size_t{element} + c];
   }
   piece_triangle_[piece] = t;
   triangle_piece_[t] = piece;
@@ -319,6 +319,7 @@ const ModelEdit& Editor::heal_surfaces(Model& m) {
     for (std::uint32_t p = 0; p < piece_triangle_.size(); ++p) {
       if (piece_triangle_[p] != kNone) triangle_piece_[piece_triangle_[p]] = p;
     }
+    write_triangle_moduli(m);
   }
   bool changed = false;
   for (BodySurface& surface : surfaces_) {

@@ -94,8 +94,8 @@ class TablesMaker {
           out_.pair_masses.end_list();
           out_.volumes.push_back(volume);
           const Material& material = body.material(element - body.element_begin);
-          const double young_pa = material.young_modulus_pa, poisson = material.poisson_ratio;
-          out_.moduli.insert(out_.moduli.end(), {young_pa, young_pa / (1 - poisson * poisson)});
+          const std::array<double, 2> moduli = contact_moduli(material);
+          m_.element_moduli.insert(m_.element_moduli.end(), moduli.begin(), moduli.end());
           if (out_.cluster_of[element] == kNone) return;
           const Cluster& cluster = in_.clusters[out_.cluster_of[element] - elements];
           const auto point = physics::rest_points<Shape>(x, physics::Quadrature::kReduced).front();
@@ -218,15 +218,19 @@ class TablesMaker {
         if (m_.scheduled.of_entry[i] == schedule) out_.gravity_entries[m_.scheduled.rows[i]] = i;
       }
     }
+    const std::vector<double>& loads = m_.value_tables->loads;
     for (std::size_t row = 0; row < rows; ++row) {
       const std::uint32_t entry = out_.gravity_entries.empty() ? kNone : out_.gravity_entries[row];
-      if (!out_.gravity_entries.empty() && entry == kNone) continue;
+      if (out_.gravity_entries.empty()) {
+        for (std::size_t c = 0; c < 3 && !loads.empty(); ++c) out_.loads[3 * row + c] = loads[4 * row + c];
+        continue;
+      }
+      if (entry == kNone) continue;
       for (std::size_t c = 0; c < 3; ++c) {
-        const double whole = entry == kNone ? m_.external[4 * row + c] : m_.scheduled.forces[3 * entry + c];
         const double weight = m_.row_mass[row] * m_.gravity_m_per_s2[static_cast<Eigen::Index>(c)];
         // A row without a load is left with rounding.
         constexpr double kRounding = 1e-14;
-        const double load = whole - weight;
+        const double load = m_.scheduled.forces[3 * std::size_t{entry} + c] - weight;
         out_.loads[3 * row + c] = std::abs(load) > kRounding * std::abs(weight) ? load : 0;
       }
     }
@@ -335,6 +339,7 @@ class TablesMaker {
     out.triangle_neighbours.assign(3 * triangles, view::kNoTriangle);
     out.triangle_area.assign(triangles, 0);
     out.triangle_moduli.assign(2 * triangles, 0);
+    out.triangle_elements.assign(triangles, kNone);
     out.vertex_of_corner.assign(3 * triangles, 0);
     for (std::size_t t = 0; t < triangle_at.size(); ++t) {
       const std::size_t to = triangle_at[t];
@@ -345,6 +350,7 @@ class TablesMaker {
         out.vertex_of_corner[3 * to + c] = vertex_at[old.vertex_of_corner[3 * t + c]];
       }
       out.triangle_area[to] = old.triangle_area[t];
+      out.triangle_elements[to] = old.triangle_elements[t];
       for (std::size_t c = 0; c < 2; ++c) out.triangle_moduli[2 * to + c] = old.triangle_moduli[2 * t + c];
     }
     std::vector<std::uint32_t> old_vertex(vertices, kNone);

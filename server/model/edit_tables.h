@@ -87,7 +87,6 @@ struct EditTables {
   std::vector<double> inertias;  ///< [row of an element] what it adds to Model::inertia [kg]
   Lists<double> pair_masses;     ///< [element] what each pair of its nodes adds to Model::mass_edges; empty: lumped
   std::vector<double> volumes;   ///< [element] m³
-  std::vector<double> moduli;    ///< [element, 2] ContactView::triangle_moduli
   Lists<Corner> corners;         ///< [row] elements at it
   Lists<std::uint32_t> pressed;  ///< [element] its faces in Model::pressure
   std::vector<std::uint32_t> checked;  ///< [element] its place in Model::checked, or mesh::kNone
@@ -104,7 +103,7 @@ struct EditTables {
 
   // Rows.
   std::vector<double> free_bits;  ///< [row] 4th entry of Model::rest
-  /// [row, 3] Model::external without gravity, or, where gravity has a schedule, the scheduled force without it [N]
+  /// [row, 3] ValueTables::loads, or, where gravity has a schedule, the scheduled force without it [N]
   std::vector<double> loads;
   std::vector<std::uint32_t> gravity_entries;  ///< [row] entry of ScheduledLoads; empty: gravity has no schedule
   std::vector<std::uint32_t> row_bodies;       ///< [row] FreeBodies::row_body

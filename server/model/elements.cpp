@@ -3,10 +3,13 @@
 #include <cmath>
 #include <map>
 #include <numeric>
+#include <optional>
 #include <tuple>
+#include <utility>
 
 #include <fmt/format.h>
 
+#include "core/assert.h"
 #include "core/parallel.h"
 #include "matrix/patch_elements.h"
 #include "matrix/row_elements.h"
@@ -14,7 +17,6 @@
 #include "model/clusters.h"
 #include "model/compile_parts.h"
 #include "model/cut_bodies.h"
-#include "model/pair_stiffness.h"
 #include "model/scene_input.h"
 #include "physics/element/element.h"
 
@@ -81,6 +83,7 @@ struct Collected {
   std::vector<double> parameters;   // [element][law parameter]
   std::vector<physics::ModuliWeights> shares;
   std::size_t nodes = 0;
+  std::optional<double> deviatoric_part;  // ValueTables::Group
 };
 
 /// Returns the order of elements by their lowest row, so that neighbours in space are neighbours in memory.
@@ -124,47 +127,10 @@ std::vector<std::uint32_t> elements_of_places(const std::vector<std::uint32_t>& 
   return out;
 }
 
-/// Adds K_kl of an element with a linear law to the constant edges.
-template <class Shape>
-void add_constant_tensors(const matrix::Layout& layout, const Material& material, std::span<const std::uint32_t> nodes,
-                          const physics::ElementAtRest<Shape>& rest, GroupedElements& out) {
-  physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
-    using Law = typename decltype(tag)::Type;
-    if constexpr (Law::kConstantStiffness) {
-      if (index != material.law) return;
-      Vec3<double> at_rest[Shape::kNodes];
-      for (Vec3<double>& u : at_rest) u.setZero();
-      std::array<Mat3<double>, Shape::kNodes*(Shape::kNodes - 1) / 2> pairs;
-      for (Mat3<double>& pair : pairs) pair.setZero();
-      rest.template for_each_point<Law>(
-          at_rest, material.parameters.data(), [&](const auto& gradients, const Mat3<double>&, const double* own) {
-            for (int k = 0; k < Shape::kNodes; ++k) {
-              for (int l = k + 1; l < Shape::kNodes; ++l) {
-                pairs[static_cast<std::size_t>(physics::pair_index(Shape::kNodes, k, l))] +=
-                    pair_stiffness_at_point<Law>(gradients.a[k], gradients.a[l], gradients.weight, own);
-              }
-            }
-          });
-      const auto add = [&](std::uint32_t slot, const Mat3<double>& block) {
-        double* edges = out.constant_edges.data();
-        for (std::uint32_t i = 0; i < 9; ++i) edges[layout.component(slot, i)] += block(i / 3, i % 3);
-      };
-      for (int k = 0; k < Shape::kNodes; ++k) {
-        const std::uint32_t row_k = layout.row_of_node[nodes[static_cast<std::size_t>(k)]];
-        for (int l = k + 1; l < Shape::kNodes; ++l) {
-          const std::uint32_t row_l = layout.row_of_node[nodes[static_cast<std::size_t>(l)]];
-          const Mat3<double>& edge = pairs[static_cast<std::size_t>(physics::pair_index(Shape::kNodes, k, l))];
-          layout.for_each_place(row_k, row_l, [&](std::uint32_t slot, bool transposed) {
-            add(slot, transposed ? Mat3<double>(edge.transpose()) : edge);
-          });
-        }
-      }
-    }
-  });
-}
-
 /// Sorts, pads and transposes the collected elements of a group. Leaves prony and row_lists empty.
-ElementGroup make_group(const GroupKey& key, const Collected& elements, const matrix::Layout& layout) {
+/// order: [place] index in `elements`, or mesh::kNone; written
+ElementGroup make_group(const GroupKey& key, const Collected& elements, const matrix::Layout& layout,
+                        std::vector<std::uint32_t>& order) {
   ElementGroup group;
   group.shape = key.shape;
   group.law = key.law;
@@ -177,7 +143,7 @@ ElementGroup make_group(const GroupKey& key, const Collected& elements, const ma
   group.element_count = static_cast<std::uint32_t>(elements.elements.size());
   const bool edges = layout.storage == matrix::Storage::kEdges;
   const auto by_patch = edges ? matrix::order_by_patch(layout, elements.rows, elements.nodes) : matrix::PatchElements{};
-  const std::vector<std::uint32_t> order = edges ? by_patch.order : order_by_first_row(elements.rows, elements.nodes);
+  order = edges ? by_patch.order : order_by_first_row(elements.rows, elements.nodes);
   group.stride = static_cast<std::uint32_t>((order.size() + kSliceRows - 1) / kSliceRows * kSliceRows);
   group.is_constant = key.constant;
   group.point_count = static_cast<std::uint32_t>(elements.shares.size());
@@ -196,15 +162,6 @@ ElementGroup make_group(const GroupKey& key, const Collected& elements, const ma
     group.pair_places = matrix::pair_places(layout, by_patch, group.rows, elements.nodes);
   }
   return group;
-}
-
-/// Returns the material with the moduli that a linear tetrahedron keeps in a cluster.
-Material kept_by_member(Material material, double deviatoric_part) {
-  physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
-    using Law = typename decltype(tag)::Type;
-    if (index == material.law) Law::scale_moduli(material.parameters.data(), 1 - deviatoric_part, 0.0);
-  });
-  return material;
 }
 
 /// Returns the error for a folded element. element: numbered in the scene.
@@ -231,6 +188,7 @@ Result<GroupedElements> group_elements(const ReadBodies& all, std::span<const Cl
   };
 
   std::map<GroupKey, Collected> collected;
+  std::vector<std::pair<const Collected*, std::uint32_t>> linear;  // elements of linear laws: group, index in it
   const auto collect = [&]<class Shape>(const physics::ElementAtRest<Shape>& rest, Share share, std::size_t b,
                                         std::uint32_t element, const Material& material,
                                         std::span<const std::uint32_t> nodes) -> Collected& {
@@ -242,10 +200,7 @@ Result<GroupedElements> group_elements(const ReadBodies& all, std::span<const Cl
     Collected& group =
         collected[{material.constant_stiffness, physics::index_of<Shape>(physics::Shapes{}), material.law,
                    body.quadrature, share, is_splinter, alone ? b : 0, series_of(material.prony)}];
-    if (material.constant_stiffness) {
-      if (out.constant_edges.empty()) out.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
-      add_constant_tensors(layout, material, nodes, rest, out);
-    }
+    if (material.constant_stiffness) linear.emplace_back(&group, static_cast<std::uint32_t>(group.elements.size()));
     if (group.elements.empty()) {  // reserves for the whole body: growing would copy large vectors many times
       const std::size_t most = body.element_count;
       group.elements.reserve(most);
@@ -289,8 +244,10 @@ Result<GroupedElements> group_elements(const ReadBodies& all, std::span<const Cl
         if (cluster_of[of_scene] == nullptr) {
           collect(rest, Share::kWhole, b, element, material, nodes);
         } else if constexpr (Shape::kSinglePoint) {
-          const Material kept = kept_by_member(material, cluster_of[of_scene]->deviatoric_part);
-          collect(rest, Share::kMember, b, element, kept, nodes);
+          const double part = cluster_of[of_scene]->deviatoric_part;
+          Collected& group = collect(rest, Share::kMember, b, element, kept_by_member(material, part), nodes);
+          TM_ASSERT(!group.deviatoric_part || *group.deviatoric_part == part, "clusters of a shape take equal parts");
+          group.deviatoric_part = part;
         } else {  // the last point is the volumetric one, which the cluster has instead
           rest.points.pop_back();
           rest.shares.pop_back();
@@ -300,10 +257,34 @@ Result<GroupedElements> group_elements(const ReadBodies& all, std::span<const Cl
 
   if (folded != mesh::kNone) return refuse_folded(bodies, folded);
 
+  struct Made {
+    std::uint32_t group;
+    std::vector<std::uint32_t> places;  // [element of the group] its first one
+  };
+  std::map<const Collected*, Made> made;
   for (const auto& [key, elements] : collected) {
-    out.groups.push_back(make_group(key, elements, layout));
-    out.groups.back().prony = all_series[key.series];
+    std::vector<std::uint32_t> order;
+    Made& of = made[&elements];
+    of = {static_cast<std::uint32_t>(out.groups.size()), std::vector(elements.elements.size(), mesh::kNone)};
+    out.groups.push_back(make_group(key, elements, layout, order));
+    ElementGroup& group = out.groups.back();
+    group.prony = all_series[key.series];
+    ValueTables::Group& source = out.sources.emplace_back();
+    source.shares_deviatoric = elements.deviatoric_part.has_value();
+    source.deviatoric_part = elements.deviatoric_part.value_or(0);
+    source.elements.assign(group.stride, mesh::kNone);
+    for (std::uint32_t place = 0; place < order.size(); ++place) {
+      if (order[place] == mesh::kNone) continue;
+      source.elements[place] = elements.elements[order[place]];
+      of.places[order[place]] = std::min(of.places[order[place]], place);
+    }
   }
+  out.linear.reserve(linear.size());
+  for (const auto& [group, index] : linear) {
+    const Made& of = made[group];
+    out.linear.push_back({of.group, of.places[index]});
+  }
+  out.constant_edges = add_up_constant_tensors(layout, out.groups, out.linear);
   return out;
 }
 

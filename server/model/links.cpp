@@ -66,18 +66,12 @@ class LinkMaker {
   void find_surfaces() {
     const ContactSurface& contact = in_.contact;
     surfaces_.resize(in_.bodies.bodies.size());
-    vertex_area_.assign(contact.surface_rows.size(), 0);
-    vertex_modulus_.assign(contact.surface_rows.size(), 0);
+    sums_ = sums_at_vertices(contact);
     for (std::uint32_t v = 0; v < contact.surface_rows.size(); ++v) {
       surfaces_[body_of_row(contact.surface_rows[v])].vertices.push_back(v);
     }
     for (std::uint32_t t = 0; t < contact.triangle_count(); ++t) {
       surfaces_[body_of_row(contact.triangle_rows[3 * std::size_t{t}])].triangles.push_back(t);
-      for (std::size_t i = 0; i < 3; ++i) {
-        const std::uint32_t vertex = contact.vertex_of_corner[3 * std::size_t{t} + i];
-        vertex_area_[vertex] += contact.triangle_area[t] / 3;
-        vertex_modulus_[vertex] += contact.triangle_area[t] / 3 * contact.triangle_moduli[2 * std::size_t{t}];
-      }
     }
     for (const BodyContactModel& pair : in_.links.contacts) {
       for (const std::size_t body : {pair.body, pair.other}) {
@@ -119,8 +113,8 @@ class LinkMaker {
     numbers[view::kSideFriction] = contact.friction;
     out_.side_numbers.insert(out_.side_numbers.end(), numbers.begin(), numbers.end());
     for (const std::uint32_t vertex : surfaces_[of_nodes].vertices) {
-      candidates_.push_back({in_.contact.surface_rows[vertex], vertex, side, vertex_area_[vertex] / 2,
-                             vertex_modulus_[vertex] / vertex_area_[vertex]});
+      candidates_.push_back({in_.contact.surface_rows[vertex], vertex, side, sums_.area_m2[vertex] / 2,
+                             sums_.stiffness[vertex] / sums_.area_m2[vertex]});
     }
   }
 
@@ -177,9 +171,7 @@ class LinkMaker {
         out_.edge_rows.insert(out_.edge_rows.end(), {rows[0], rows[1], rows[2], far_row});
         std::array<double, view::kEdgeNumbers> numbers{};
         numbers[view::kEdgeArea] = (area + other_area) / 3;
-        numbers[view::kEdgeModulus] = (area * contact.triangle_moduli[2 * std::size_t{triangle}] +
-                                       other_area * contact.triangle_moduli[2 * std::size_t{across}]) /
-                                      (area + other_area);
+        numbers[view::kEdgeModulus] = modulus_of_edge(contact, triangle, across);
         numbers[view::kEdgeWidth] = 2 * std::min(area, other_area) / length_m;
         out_.edge_numbers.insert(out_.edge_numbers.end(), numbers.begin(), numbers.end());
         sum_m += length_m;
@@ -290,9 +282,8 @@ class LinkMaker {
   const LinkInput& in_;
   const matrix::Layout& layout_;
   Links out_;
-  std::vector<Surface> surfaces_;       // [body]
-  std::vector<double> vertex_area_;     // [surface vertex]
-  std::vector<double> vertex_modulus_;  // [surface vertex] E times area, summed
+  std::vector<Surface> surfaces_;  // [body]
+  VertexSums sums_;
   std::vector<Candidate> candidates_;
   std::vector<EdgeCandidate> edge_candidates_;
 };

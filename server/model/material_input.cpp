@@ -205,6 +205,11 @@ ElementLaw element_law(const v1::Law& law, std::string_view where) {
   return result;
 }
 
+std::array<double, 2> contact_moduli(const Material& material) {
+  const double young_pa = material.young_modulus_pa, poisson = material.poisson_ratio;
+  return {young_pa, young_pa / (1 - poisson * poisson)};
+}
+
 Result<Material> read_law(const v1::Law& law, const ElementValues& values, std::string_view where) {
   return element_law(law, where)(values);
 }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -26,6 +27,9 @@ struct Material {
   double poisson_ratio = 0;               ///< at zero strain
   bool constant_stiffness = false;        ///< its stiffness does not change with deformation
 };
+
+/// Returns E and E / (1 − ν²) of a material, as contact asks for them (view::ContactView::triangle_moduli) [Pa].
+std::array<double, 2> contact_moduli(const Material& material);
 
 /// The values of one element that replace constants of its law.
 struct ElementValues {

@@ -28,7 +28,8 @@ class Tool;
 
 /// A compiled scene: what model::compile makes of a message, and what model/bind.h copies into buffers.
 ///
-/// A Model is in double precision. Nothing but an Editor (edit.h) changes it after it was compiled. An empty vector
+/// A Model is in double precision. Nothing but an Editor (edit.h) changes it after it was compiled; other values of the
+/// scene make another Model (values.h). An empty vector
 /// means that the scene does not need it, and no backend allocates a buffer for it. model/check.h asserts the sizes
 /// that the comments state.
 ///
@@ -135,6 +136,7 @@ struct ContactSurface {
   std::vector<std::uint32_t> patch_triangles;      ///< [patch_count + 1]; a scene with editing has room behind them
   std::vector<double> triangle_area;               ///< [triangle_count] m²
   std::vector<double> triangle_moduli;             ///< [triangle_count, 2], see ContactView
+  std::vector<std::uint32_t> triangle_elements;    ///< [triangle_count] as loaded; mesh::kNone: room for another
   std::vector<std::uint32_t> vertex_of_corner;     ///< [triangle_count, 3]
   std::vector<std::uint32_t> surface_rows;         ///< [surface vertex]
   std::vector<std::uint32_t> patch_surface;        ///< [patch_count + 1]
@@ -370,7 +372,8 @@ struct ToolModel {
   }
 };
 
-struct EditTables;  // edit_tables.h
+struct EditTables;   // edit_tables.h
+struct ValueTables;  // values.h
 
 struct Model : Settings {
   std::vector<BodyModel> bodies;
@@ -405,6 +408,9 @@ struct Model : Settings {
   FreeBodies free_bodies;                      ///< empty: no step balances momentum
   VisibleSurface visible;                      ///< empty: no frames
   std::vector<VisibleAttachment> attachments;  ///< empty: no frames, or no attachments
+  std::vector<double> element_moduli;          ///< [element, 2] ContactView::triangle_moduli; empty: no editing
+  /// What other values of the scene are made from (values.h). Never null.
+  std::shared_ptr<const ValueTables> value_tables;
   /// What edits start from (edit.h); nullptr: the scene never changes.
   std::shared_ptr<const EditTables> edit_tables;
 

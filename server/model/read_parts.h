@@ -45,6 +45,8 @@ struct ReadBody : AdmittedBody {
   double density_kg_per_m3 = 0;
   std::vector<Material> materials;
   std::vector<std::uint32_t> element_materials;  ///< [element_count] into materials; empty: all have the first
+  /// [loaded_element_count] law of each element: 0 is body.law, i is law_regions[i − 1]; empty: all have body.law
+  std::vector<std::uint32_t> element_laws;
 
   /// element: numbered in the body
   const Material& material(std::uint32_t element) const {
@@ -144,6 +146,12 @@ void append_mesh(std::size_t body_index, ReadBody& body, ReadBodies& all);
 
 /// Reads body.law, law_regions and element_fields into `out`, whose mesh is read already.
 Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_view where);
+/// Returns ReadBody::materials for elements whose laws are known.
+///
+///   element_laws    ReadBody::element_laws
+///   element_count   elements of the body as loaded
+Result<std::vector<Material>> read_materials(const v1::Body& body, std::span<const std::uint32_t> element_laws,
+                                             std::size_t element_count, std::string_view where);
 
 /// Reads the tools.
 ///

@@ -196,7 +196,7 @@ Result<Settings> read_settings(const v1::Scene& scene) {
 
   TM_ASSIGN_OR_RETURN(gravity, read_vector(scene.gravity_m_per_s2(), "scene.gravity_m_per_s2"));
   out.gravity_m_per_s2 = gravity;
-  out.has_gravity = gravity.squaredNorm() > 0;
+  out.has_gravity = scene.has_gravity_m_per_s2();
   if (scene.has_gravity_schedule() && !scene.has_gravity_m_per_s2()) {
     return invalid(
         "scene.gravity_schedule: the scene has no gravity; give gravity_m_per_s2, or leave the schedule out");

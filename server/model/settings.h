@@ -39,7 +39,7 @@ struct Settings {
   std::optional<double> max_move_m, max_distance_m, max_energy_ratio;
   bool goes_on = false;  ///< v1::Guard::ON_FAULT_GO_ON
   Vec3<double> gravity_m_per_s2 = Vec3<double>::Zero();
-  bool has_gravity = false;
+  bool has_gravity = false;  ///< the scene gives it; zero too
   Schedule gravity_schedule;
   std::optional<Editing> editing;  ///< absent: the scene never changes
 

@@ -25,10 +25,9 @@ constexpr std::uint32_t kLeastRoomForCuts = 4096;
 /// Adds the moduli behind a triangle of the contact surface. element: the one behind it.
 void add_moduli(std::span<const ReadBody> bodies, std::uint32_t element, ContactSurface& out) {
   const ReadBody& body = bodies[body_of_element(bodies, element)];
-  const Material& material = body.material(element - body.element_begin);
-  const double young_pa = material.young_modulus_pa, poisson = material.poisson_ratio;
-  out.triangle_moduli.push_back(young_pa);
-  out.triangle_moduli.push_back(young_pa / (1 - poisson * poisson));
+  const std::array<double, 2> moduli = contact_moduli(body.material(element - body.element_begin));
+  out.triangle_moduli.insert(out.triangle_moduli.end(), moduli.begin(), moduli.end());
+  out.triangle_elements.push_back(element);
 }
 
 /// Returns the boundary of all bodies; of one that is cut, what no cut crosses.
@@ -101,19 +100,6 @@ ContactSurface make_contact_surface(const ReadBodies& bodies, const matrix::Layo
     out.incidence_begin.push_back(static_cast<std::uint32_t>(out.incidence.size() / 4));
   }
   std::partial_sum(out.patch_surface.begin(), out.patch_surface.end(), out.patch_surface.begin());
-  return out;
-}
-
-std::vector<SurfaceModuli> moduli_of_surfaces(std::span<const ReadBody> bodies, const matrix::Layout& layout,
-                                              const ContactSurface& contact) {
-  std::vector<SurfaceModuli> out(bodies.size());
-  for (std::size_t t = 0; t < contact.triangle_count(); ++t) {
-    SurfaceModuli& body = out[body_of_node(bodies, layout.node_of_row[contact.triangle_rows[3 * t]])];
-    const double young_pa = contact.triangle_moduli[2 * t];
-    const bool is_first = !(body.most_surface_modulus_pa > 0);
-    body.least_surface_modulus_pa = is_first ? young_pa : std::min(body.least_surface_modulus_pa, young_pa);
-    body.most_surface_modulus_pa = std::max(body.most_surface_modulus_pa, young_pa);
-  }
   return out;
 }
 

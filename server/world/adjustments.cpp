@@ -81,6 +81,25 @@ Result<v1::SceneAdjustments> with_changes(v1::SceneAdjustments present, const v1
   return present;
 }
 
+v1::SceneAdjustments with_cuts_of(const v1::SceneAdjustments& present, v1::SceneAdjustments wanted) {
+  for (int i = 0; i < wanted.bodies_size(); ++i) {
+    wanted.mutable_bodies(i)->clear_cuts();
+    if (present.bodies(i).has_cuts()) *wanted.mutable_bodies(i)->mutable_cuts() = present.bodies(i).cuts();
+  }
+  return wanted;
+}
+
+v1::SceneAdjustments next_part(const v1::SceneAdjustments& present, const v1::SceneAdjustments& wanted) {
+  v1::SceneAdjustments out = with_cuts_of(present, wanted);
+  for (int i = 0; i < out.bodies_size(); ++i) {
+    v1::BodyAdjustment& body = *out.mutable_bodies(i);
+    const double factor = present.bodies(i).stiffness_factor();
+    body.set_stiffness_factor(
+        std::clamp(body.stiffness_factor(), factor / kMaxStiffnessFactorOfPart, factor * kMaxStiffnessFactorOfPart));
+  }
+  return out;
+}
+
 v1::Scene adjusted(const v1::Scene& loaded, const v1::SceneAdjustments& adjustments) {
   v1::Scene out = loaded;
   const v1::Vector3& gravity = adjustments.gravity_m_per_s2();

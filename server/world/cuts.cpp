@@ -16,6 +16,7 @@
 #include "mesh/cut_search.h"
 #include "model/progress.h"
 #include "model/read_parts.h"
+#include "world/hashes.h"
 
 namespace tensormass::world {
 
@@ -278,6 +279,17 @@ Result<SceneCuts> read_cuts(const v1::Scene& loaded, const v1::SceneAdjustments&
     return fail(ErrorCode::kFailedPrecondition, "the scene has no room for cuts; load it with scene.editing.cutting");
   }
   return out;
+}
+
+std::uint64_t hash_of_cut(std::uint64_t scene_hash, const v1::SceneAdjustments& adjustments) {
+  Hash hash;
+  hash.add(scene_hash);
+  for (const v1::BodyAdjustment& body : adjustments.bodies()) {
+    const v1::MeshCuts& cuts = body.cuts();
+    for (const std::string* bytes : {&cuts.edges(), &cuts.crossings(), &cuts.counts(), &cuts.orders()})
+      hash.add(*bytes);
+  }
+  return hash.value();
 }
 
 void write_cuts(const SceneCuts& cuts, v1::SceneAdjustments& adjustments) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <span>
 
@@ -42,6 +43,9 @@ struct FreedPiece {
 };
 /// Returns what further cuts have freed, in each body by volume: of a piece in two the smaller part.
 std::vector<FreedPiece> freed_pieces(const model::SceneCuts& before, const model::SceneCuts& after);
+
+/// Returns the hash of a scene that is cut. scene_hash: of its values without the cuts
+std::uint64_t hash_of_cut(std::uint64_t scene_hash, const v1::SceneAdjustments& adjustments);
 
 /// Sum over all bodies [m²].
 double area_of(const model::SceneCuts& cuts);

@@ -223,7 +223,6 @@ bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
     return false;
   }
   status_.take_step(*world_);
-  if (runs() && world_->sweeps().has_news()) tell_of_sweep();
   outputs_.note_guard();
   take_edits();
   tell_what_broke();
@@ -236,6 +235,8 @@ bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
   outputs_.take_step(began);
   status_.take_stamp(outputs_.stamp());
   outputs_.publish(with_frame);
+  // Last: whoever wakes up asks the status for the step.
+  if (runs() && (world_->sweeps().has_news() || world_->step_count() == wakes_at_.load())) tell_of_work();
   return true;
 }
 

@@ -87,6 +87,9 @@ class Loop {
   template <class Command>
   auto read(Command command) -> decltype(command());
 
+  /// Makes other values ready for do_take_values, while the scene steps. Only one thread at a time may change values or
+  /// swap the world. Fails, with the scene unchanged, if host or device have no memory for them.
+  Result<World::Values> prepare_values(std::shared_ptr<const model::Model> next) const;
   /// The present values of the scene. A state of it may be of earlier ones: commands return those of theirs.
   GenerationPointer generation() const { return generation_.get(); }
   const LoopStatus& status() const { return status_; }
@@ -105,13 +108,17 @@ class Loop {
     world_->stop();
   }
   bool cancelled() const { return cancelled_.load(std::memory_order_relaxed); }
-  /// Waits until blades of a scene that runs by the clock have swept something since `seen`, a count that this returns,
-  /// or until `stop_waiting`. The loop itself waits for nobody.
-  std::uint32_t wait_for_sweep(std::uint32_t seen) const {
-    swept_.wait(seen);
-    return swept_.load();
+  /// Waits until there is work on a scene that runs by the clock since `seen`, a count that this returns, or until
+  /// `stop_waiting`: blades have swept something, or the step of `wake_at` is done. The loop itself waits for nobody.
+  std::uint32_t wait_for_work(std::uint32_t seen) const {
+    work_.wait(seen);
+    return work_.load();
   }
-  void stop_waiting() { tell_of_sweep(); }
+  void wake_at(std::uint64_t step) {
+    wakes_at_.store(step);
+    tell_of_work();  // it may be past
+  }
+  void stop_waiting() { tell_of_work(); }
 
   // -- the publisher's thread -----------------------------------------------------------------------------------------
 
@@ -171,6 +178,17 @@ class Loop {
   /// Puts another world of the scene in place of the present one, whose state it takes. On success `swap.world` is the
   /// world before, which may take long to end. On failure the scene is unchanged. Clears a fault of the guard.
   Result<void> do_swap(Swap& swap);
+  /// Other values of the scene.
+  struct NewValues {
+    World::Values values;
+    GenerationPointer generation;  ///< that of the values
+    EditPointer edit;              ///< for a recording
+  };
+  /// Gives the world other values between two steps. Clears a fault of the guard. Afterwards `next` has what may take
+  /// long to end.
+  Result<void> do_take_values(NewValues& next);
+  /// Returns whether a tool touches tissue.
+  Result<bool> do_touching() const;
   /// Takes what blades have swept since the last call.
   Result<std::vector<SweptWay>> do_take_ways();
 
@@ -203,6 +221,8 @@ class Loop {
   void measure_pose_ages(Clock::time_point now);
   void record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected);
   void go_on_from_new_state();
+  void go_on_with_new_values(GenerationPointer next, EditPointer edit);
+  void publish_new_values();
   void take_edits();
   void tell_what_broke();
   void tell_what_was_cut();
@@ -219,9 +239,9 @@ class Loop {
   tl::unexpected<Error> lockstep_error(std::string_view what) const;
   Clock::duration lockstep_frame_interval() const;
 
-  void tell_of_sweep() {
-    swept_.fetch_add(1);
-    swept_.notify_all();
+  void tell_of_work() {
+    work_.fetch_add(1);
+    work_.notify_all();
   }
 
   const model::Model& model() const { return world_->model(); }
@@ -244,8 +264,9 @@ class Loop {
   std::mutex cancelling_;
   std::atomic<bool> cancelled_{false};
   std::atomic<Clock::rep> due_by_{kNotDue};
-  std::atomic<std::uint32_t> swept_{0};  // counts steps in which blades swept something
-  std::atomic<bool> listens_{false};     // the loop waits for a pose: wake it
+  std::atomic<std::uint32_t> work_{0};  // counts what wait_for_work waits for
+  std::atomic<std::uint64_t> wakes_at_{std::numeric_limits<std::uint64_t>::max()};
+  std::atomic<bool> listens_{false};  // the loop waits for a pose: wake it
 
   // The loop's own.
   StepClock clock_;

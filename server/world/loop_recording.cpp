@@ -1,3 +1,6 @@
+#include <algorithm>
+#include <new>
+
 #include "world/cut_state.h"
 #include "world/cuts.h"
 #include "world/hashes.h"
@@ -131,16 +134,8 @@ Result<void> Loop::do_swap(Swap& swap) {
     world_.swap(next);
     if (cancelled()) world_->stop();
   }
-  const bool was_faulted = status_.state() == v1::SceneStatus::STATE_FAULTED;
-  outputs_.go_on_with(*world_);
-  status_.go_on_with(world_->shared_model());
-  (void)generation_.replace(std::move(swap.generation));
-  next_diagnostics_ = 0;
-  if (was_faulted) clock_.restart(Clock::now());
-  if (recording_ && swap.edit) recording_->take_edit({std::move(swap.edit), world_->step_count()});
-  outputs_.take_step(Clock::now());
+  go_on_with_new_values(std::move(swap.generation), std::move(swap.edit));
   status_.take_cut_area(area_m2);
-  take_edits();
   if (swap.surface != nullptr) outputs_.set_changes(surface_.number(std::move(swap.surface)));
   const bool cuts = cut_m2 > 0;
   outputs_.add_event({.kind = cuts ? EventKind::kCut : EventKind::kAdjusted,
@@ -150,10 +145,49 @@ Result<void> Loop::do_swap(Swap& swap) {
     outputs_.add_event(
         {.kind = EventKind::kPieceFree, .step = world_->step_count(), .body = piece.body, .value = piece.volume_m3});
   }
+  publish_new_values();
+  return {};
+}
+
+/// Tells everybody that the world has other values.
+void Loop::go_on_with_new_values(GenerationPointer next, EditPointer edit) {
+  const bool was_faulted = status_.state() == v1::SceneStatus::STATE_FAULTED;
+  outputs_.go_on_with(*world_);
+  status_.go_on_with(world_->shared_model());
+  (void)generation_.replace(std::move(next));
+  next_diagnostics_ = 0;
+  if (was_faulted) clock_.restart(Clock::now());
+  if (recording_ && edit) recording_->take_edit({std::move(edit), world_->step_count()});
+  outputs_.take_step(Clock::now());
+  take_edits();
+}
+
+void Loop::publish_new_values() {
   if (status_.state() == v1::SceneStatus::STATE_PAUSED) outputs_.release_tools();
   status_.take_stamp(outputs_.stamp());
   outputs_.publish(true);
+}
+
+Result<World::Values> Loop::prepare_values(std::shared_ptr<const model::Model> next) const try {
+  return world_->prepare_values(std::move(next));
+} catch (const std::bad_alloc&) {
+  return fail(ErrorCode::kResourceExhausted, "the server has no memory for the change; the scene is unchanged");
+} catch (const std::exception& failure) {
+  return fail(ErrorCode::kUnavailable, fmt::format("the device failed: {}; the scene is unchanged", failure.what()));
+}
+
+Result<void> Loop::do_take_values(NewValues& next) {
+  TM_RETURN_IF_ERROR(require_state());
+  world_->take_values(next.values);
+  go_on_with_new_values(std::move(next.generation), std::move(next.edit));
+  outputs_.add_event({.kind = EventKind::kAdjusted, .step = world_->step_count()});
+  publish_new_values();
   return {};
+}
+
+Result<bool> Loop::do_touching() const {
+  return std::any_of(world_->readings().begin(), world_->readings().end(),
+                     [](const ToolReading& reading) { return reading.touching; });
 }
 
 Result<std::vector<SweptWay>> Loop::do_take_ways() {

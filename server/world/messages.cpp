@@ -100,7 +100,7 @@ v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
   v1::Topology topology;
   topology.set_scene(model.name);
   topology.set_version(version);
-  if (model.has_gravity) fill(model.gravity_m_per_s2, *topology.mutable_gravity_m_per_s2());
+  if (!model.gravity_m_per_s2.isZero(0)) fill(model.gravity_m_per_s2, *topology.mutable_gravity_m_per_s2());
   for (const model::BodyModel& body : model.bodies) {
     v1::BodySurface& out = *topology.add_bodies();
     out.set_name(body.name);

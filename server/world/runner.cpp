@@ -5,6 +5,7 @@
 #include <cmath>
 #include <map>
 #include <mutex>
+#include <optional>
 #include <span>
 #include <thread>
 #include <variant>
@@ -15,6 +16,7 @@
 #include "core/log.h"
 #include "core/names.h"
 #include "core/thread_name.h"
+#include "model/values.h"
 #include "world/adjustments.h"
 #include "world/compiled_scene.h"
 #include "world/cuts.h"
@@ -34,18 +36,6 @@ constexpr double kBetweenCutsS = 0.1;
 
 std::string write_snapshot(const Generation& generation, const LoopCopy& copy) {
   return world::write_snapshot(*generation.model, generation.scene_hash, by_node(*generation.model, copy));
-}
-
-/// Returns the hash of a scene that is cut. scene_hash: of its values without the cuts
-std::uint64_t hash_of_cut(std::uint64_t scene_hash, const v1::SceneAdjustments& adjustments) {
-  Hash hash;
-  hash.add(scene_hash);
-  for (const v1::BodyAdjustment& body : adjustments.bodies()) {
-    const v1::MeshCuts& cuts = body.cuts();
-    for (const std::string* bytes : {&cuts.edges(), &cuts.crossings(), &cuts.counts(), &cuts.orders()})
-      hash.add(*bytes);
-  }
-  return hash.value();
 }
 
 }  // namespace
@@ -76,7 +66,7 @@ struct Runner::Impl {
                                                       false,
                                                       {}});
     loop = std::make_unique<Loop>(backend.backend, std::move(world), std::move(generation));
-    if (has_blades() && !loop->generation()->model->lockstep) cutter.start(*this);
+    if (has_blades() && !loop->generation()->model->lockstep) changer.start(*this);
   }
 
   Result<std::size_t> find_tool(std::string_view tool) const {
@@ -109,22 +99,44 @@ struct Runner::Impl {
   Result<v1::SceneStatus> apply(const Reset& reset, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const ChangeScene& change, const EditPointer& edit);
   Result<void> take_values(v1::SceneAdjustments wanted);
+  Result<void> write_values(const v1::Scene& scene, v1::SceneAdjustments wanted,
+                            std::shared_ptr<const model::Model> model);
+  GenerationPointer next_generation(const Generation& present, std::shared_ptr<const model::Model> model,
+                                    std::uint64_t scene_hash, v1::SceneAdjustments wanted, model::SceneCuts cuts) const;
   Result<void> swap_world(v1::SceneAdjustments wanted, model::SceneCuts cuts, const EditPointer& reset = nullptr);
   Result<v1::SceneStatus> cut(const v1::SceneEdit& edit);
-  void refuse_cut(const Error& error) const;
-  Result<v1::SceneStatus> step_with_blades(std::uint32_t count);
+  void refuse(std::string_view what, const Error& error) const;
+  void forget_parts() {
+    coming.reset();
+    comes = false;
+  }
+  Result<v1::SceneStatus> step_in_parts(std::uint32_t count);
+  Result<void> change_values(v1::SceneAdjustments wanted);
+  Result<void> take_next_part();
+  Result<void> take_due_part();
+  Result<void> take_last_part();
+  /// Returns the values that the scene has after the last part of a change. Needs `adjusting`.
+  v1::SceneAdjustments wanted_values() const { return coming ? coming->wanted : loop->generation()->adjustments; }
   Result<void> take_cuts(model::SceneCuts cuts);
   Result<void> cut_what_was_swept();
   bool has_blades() const { return source != nullptr && loop->generation()->model->links.blades.count() > 0; }
 
-  /// Cuts what blades sweep while the scene runs by the clock: again and again, as long as something new was swept.
-  class Cutter {
+  /// A change of stiffness that comes in parts.
+  struct Coming {
+    v1::SceneAdjustments wanted;
+    std::uint64_t step = 0;  ///< after which the next part comes
+  };
+
+  /// Changes a scene that runs by the clock on a thread of its own: cuts what blades sweep, as long as something new
+  /// was swept, and takes the parts of a change of values.
+  class Changer {
    public:
     void start(Impl& of) {
+      if (impl_ != nullptr) return;
       impl_ = &of;
       thread_ = std::thread([this] { run(); });
     }
-    ~Cutter() {
+    ~Changer() {
       if (impl_ == nullptr) return;
       ends_ = true;
       impl_->loop->stop_waiting();
@@ -133,11 +145,13 @@ struct Runner::Impl {
 
    private:
     void run() {
-      name_thread("cut");
+      name_thread("change");
       for (std::uint32_t seen = 0; !ends_;) {
-        seen = impl_->loop->wait_for_sweep(seen);
+        seen = impl_->loop->wait_for_work(seen);
         if (ends_ || impl_->loop->cancelled()) continue;
-        if (const auto cut = impl_->cut_what_was_swept(); !cut) impl_->refuse_cut(cut.error());
+        if (const auto part = impl_->take_due_part(); !part) impl_->refuse("values", part.error());
+        if (!impl_->has_blades()) continue;
+        if (const auto cut = impl_->cut_what_was_swept(); !cut) impl_->refuse("cut", cut.error());
       }
     }
 
@@ -152,9 +166,11 @@ struct Runner::Impl {
   const v1::Topology topology;
   std::map<std::string, std::size_t, std::less<>> tool_index;
 
-  std::mutex adjusting;        // one `adjust` at a time
-  std::unique_ptr<Loop> loop;  // its thread ends before all of the above
-  Cutter cutter;               // last: uses the loop
+  std::mutex adjusting;            // one change of values or cuts at a time
+  std::optional<Coming> coming;    // guarded by `adjusting`
+  std::atomic<bool> comes{false};  // `coming` has a value
+  std::unique_ptr<Loop> loop;      // its thread ends before all of the above
+  Changer changer;                 // last: uses the loop
 };
 
 Result<std::unique_ptr<Runner>> Runner::start(const v1::Scene& scene, const RunnerOptions& options,
@@ -196,8 +212,8 @@ Result<v1::SceneStatus> Runner::step(std::uint32_t count) {
     return invalid(
         fmt::format("count: {} is not within [1, limits::kMaxStepsPerCall = {}]", count, limits::kMaxStepsPerCall));
   }
-  if (!impl_->has_blades()) return impl_->call([count](Loop& loop) { return loop.do_step(count); });
-  return impl_->step_with_blades(count);
+  if (impl_->has_blades() || impl_->comes) return impl_->step_in_parts(count);
+  return impl_->call([count](Loop& loop) { return loop.do_step(count); });
 }
 Result<v1::SceneStatus> Runner::edit(const v1::SceneEdit& change) {
   if (!change.cuts().empty()) return impl_->cut(change);
@@ -261,6 +277,10 @@ void Runner::stop_recording(const std::shared_ptr<Recording>& recording) {
   (void)impl_->call([&](Loop& loop) { return loop.do_stop_recording(recording); });
 }
 Result<v1::ReplaySceneResponse> Runner::replay(const v1::ReplaySceneRequest& request) {
+  {
+    const std::lock_guard lock(impl_->adjusting);
+    impl_->forget_parts();
+  }
   const GenerationPointer before = impl_->loop->generation();
   TM_ASSIGN_OR_RETURN(replay, read_replay(*before->model, before->scene_hash, request));
   std::uint64_t number = before->number;
@@ -329,14 +349,14 @@ const v1::Scene* Runner::source() const { return impl_->source ? &impl_->source-
 Result<v1::AdjustSceneResponse> Runner::adjust(const v1::SceneAdjustments& changes) {
   if (!impl_->source) return fail(ErrorCode::kFailedPrecondition, "the scene was not loaded from a message");
   const std::lock_guard lock(impl_->adjusting);
-  const v1::SceneAdjustments present = impl_->loop->generation()->adjustments;
+  const v1::SceneAdjustments present = impl_->wanted_values();
   TM_ASSIGN_OR_RETURN(wanted, with_changes(present, changes));
   if (wanted.SerializeAsString() != present.SerializeAsString()) {
-    TM_RETURN_IF_ERROR(impl_->take_values(std::move(wanted)));
+    TM_RETURN_IF_ERROR(impl_->change_values(std::move(wanted)));
   }
   v1::AdjustSceneResponse response;
   *response.mutable_status() = status();
-  *response.mutable_adjustments() = impl_->loop->generation()->adjustments;
+  *response.mutable_adjustments() = impl_->wanted_values();
   return response;
 }
 
@@ -350,13 +370,97 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Adjust& adjust, const EditPoin
   const std::lock_guard lock(adjusting);
   TM_ASSIGN_OR_RETURN(wanted, with_changes(loop->generation()->adjustments, adjust.values));
   TM_RETURN_IF_ERROR(take_values(std::move(wanted)));
+  forget_parts();
   return loop->status().make();
 }
 
-/// Gives the scene other values and cuts. Needs `adjusting`.
+/// Changes values at once, or, where a tool touches tissue whose stiffness changes much, from part to part. Each part
+/// is an adjustment of its own, so a recording has it and a snapshot names its values. Needs `adjusting`.
+Result<void> Runner::Impl::change_values(v1::SceneAdjustments wanted) {
+  // Refuses bad values before the first part.
+  const v1::SceneAdjustments part = next_part(loop->generation()->adjustments, wanted);
+  const bool in_parts = part.SerializeAsString() != wanted.SerializeAsString();
+  TM_ASSIGN_OR_RETURN(touching, loop->call([&] { return loop->do_touching(); }));
+  if (!in_parts || !touching) {
+    TM_RETURN_IF_ERROR(take_values(std::move(wanted)));
+    forget_parts();
+    return {};
+  }
+  TM_RETURN_IF_ERROR(model::with_values(*loop->generation()->model, adjusted(source->scene, wanted)));
+  coming = Coming{std::move(wanted), 0};
+  const auto taken = take_next_part();
+  if (!taken) forget_parts();
+  return taken;
+}
+
+/// Takes the next part of the change that comes. Without a tool that touches it is the last one. Needs `adjusting`.
+Result<void> Runner::Impl::take_next_part() {
+  const GenerationPointer present = loop->generation();
+  TM_ASSIGN_OR_RETURN(touching, loop->call([&] { return loop->do_touching(); }));
+  v1::SceneAdjustments part = next_part(present->adjustments, coming->wanted);
+  v1::SceneAdjustments last = with_cuts_of(present->adjustments, coming->wanted);
+  const bool ends = !touching || part.SerializeAsString() == last.SerializeAsString();
+  TM_RETURN_IF_ERROR(take_values(ends ? std::move(last) : std::move(part)));
+  if (ends) {
+    forget_parts();
+    return {};
+  }
+  const auto steps = std::max(1L, std::lround(kBetweenPartsS / present->model->dt_s));
+  coming->step = loop->status().make().step() + static_cast<std::uint64_t>(steps);
+  comes = true;
+  loop->wake_at(coming->step);
+  if (!present->model->lockstep) changer.start(*this);
+  return {};
+}
+
+/// Takes the next part if its step is done.
+Result<void> Runner::Impl::take_due_part() {
+  const std::lock_guard lock(adjusting);
+  if (!coming || loop->status().make().step() < coming->step) return {};
+  const auto taken = take_next_part();
+  if (!taken) forget_parts();
+  return taken;
+}
+
+/// Takes what is left of a change at once: nothing touches after a reset. Needs `adjusting`.
+Result<void> Runner::Impl::take_last_part() {
+  if (!coming) return {};
+  TM_RETURN_IF_ERROR(take_values(with_cuts_of(loop->generation()->adjustments, coming->wanted)));
+  forget_parts();
+  return {};
+}
+
+/// Gives the scene other values and cuts: in place if only numbers change, else by another world. Needs `adjusting`.
 Result<void> Runner::Impl::take_values(v1::SceneAdjustments wanted) {
-  TM_ASSIGN_OR_RETURN(cuts, read_cuts(source->scene, wanted, loop->generation()->cuts));
+  const GenerationPointer present = loop->generation();
+  TM_ASSIGN_OR_RETURN(cuts, read_cuts(source->scene, wanted, present->cuts));
+  if (cuts == present->cuts) {
+    const v1::Scene scene = adjusted(source->scene, wanted);
+    TM_ASSIGN_OR_RETURN(model, model::with_values(*present->model, scene));
+    if (model != nullptr) return write_values(scene, std::move(wanted), std::move(model));
+  }
   return swap_world(std::move(wanted), std::move(cuts));
+}
+
+/// Gives the world other values in place. Needs `adjusting`. scene: with the values; model: of that scene
+Result<void> Runner::Impl::write_values(const v1::Scene& scene, v1::SceneAdjustments wanted,
+                                        std::shared_ptr<const model::Model> model) {
+  const GenerationPointer present = loop->generation();
+  const auto edit = std::make_shared<const Edit>(Adjust{wanted});
+  TM_ASSIGN_OR_RETURN(values, loop->prepare_values(model));
+  auto next = next_generation(*present, std::move(model), hash_of(scene), std::move(wanted), present->cuts);
+  Loop::NewValues all{std::move(values), std::move(next), edit};
+  return loop->call([&] { return loop->do_take_values(all); });
+}
+
+/// scene_hash: of the values without the cuts
+GenerationPointer Runner::Impl::next_generation(const Generation& present, std::shared_ptr<const model::Model> model,
+                                                std::uint64_t scene_hash, v1::SceneAdjustments wanted,
+                                                model::SceneCuts cuts) const {
+  const bool is_adjusted = wanted.SerializeAsString() != adjustments_of(source->scene).SerializeAsString();
+  if (!cuts.empty()) scene_hash = hash_of_cut(scene_hash, wanted);
+  return std::make_shared<const Generation>(
+      Generation{present.number + 1, std::move(model), scene_hash, std::move(wanted), is_adjusted, std::move(cuts)});
 }
 
 /// A cut is an adjustment of the values, so that recordings and snapshots have it.
@@ -376,24 +480,30 @@ Result<void> Runner::Impl::take_cuts(model::SceneCuts cuts) {
   return swap_world(std::move(wanted), std::move(cuts));
 }
 
-/// Says why tissue stays whole although a blade went through. The scene goes on.
-void Runner::Impl::refuse_cut(const Error& error) const {
-  log::warn("cut refused", {{"scene", topology.scene()}, {"reason", error.message}});
+/// Says why tissue stays whole although a blade went through, or keeps its values. The scene goes on.
+void Runner::Impl::refuse(std::string_view what, const Error& error) const {
+  log::warn(fmt::format("{} refused", what), {{"scene", topology.scene()}, {"reason", error.message}});
 }
 
-/// Makes steps by hand, and cuts what was swept where the number of steps says so, so that a run repeats.
-Result<v1::SceneStatus> Runner::Impl::step_with_blades(std::uint32_t count) {
+/// Makes steps by hand. Cuts what was swept, and takes parts of a change of values, where the number of steps says so,
+/// so that a run repeats.
+Result<v1::SceneStatus> Runner::Impl::step_in_parts(std::uint32_t count) {
   const auto steps =
       static_cast<std::uint64_t>(std::max(1L, std::lround(kBetweenCutsS / loop->generation()->model->dt_s)));
   for (;;) {
     const std::uint64_t made = loop->status().make().step();
-    const auto part = static_cast<std::uint32_t>(std::min<std::uint64_t>(count, steps - made % steps));
-    TM_ASSIGN_OR_RETURN(status, call([part](Loop& of) { return of.do_step(part); }));
-    if (status.step() % steps == 0) {
-      if (const auto cut = cut_what_was_swept(); !cut) refuse_cut(cut.error());
+    std::uint64_t part = has_blades() ? std::min<std::uint64_t>(count, steps - made % steps) : count;
+    {
+      const std::lock_guard lock(adjusting);
+      if (coming && coming->step > made) part = std::min(part, coming->step - made);
+    }
+    TM_ASSIGN_OR_RETURN(status, call([&](Loop& of) { return of.do_step(static_cast<std::uint32_t>(part)); }));
+    if (const auto taken = take_due_part(); !taken) refuse("values", taken.error());
+    if (has_blades() && status.step() % steps == 0) {
+      if (const auto cut = cut_what_was_swept(); !cut) refuse("cut", cut.error());
     }
     if (count == part) return loop->status().make();
-    count -= part;
+    count -= static_cast<std::uint32_t>(part);
   }
 }
 
@@ -420,8 +530,9 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Restore& restore, const EditPo
 
 /// A reset heals cuts: the scene is the one that was loaded again.
 Result<v1::SceneStatus> Runner::Impl::apply(const Reset&, const EditPointer& edit) {
-  if (source && source->scene.editing().has_cutting()) {
+  if (source) {
     const std::lock_guard lock(adjusting);
+    TM_RETURN_IF_ERROR(take_last_part());
     if (const GenerationPointer present = loop->generation(); !present->cuts.empty()) {
       v1::SceneAdjustments wanted = present->adjustments;
       write_cuts({}, wanted);
@@ -447,12 +558,10 @@ Result<void> Runner::Impl::swap_world(v1::SceneAdjustments wanted, model::SceneC
   TM_ASSERT(!same_cuts || hash_of_layout(world->model()) == hash_of_layout(*present->model),
             "values do not change the order of nodes");
   const auto edit = std::make_shared<const Edit>(Adjust{wanted});
-  const bool is_adjusted = wanted.SerializeAsString() != adjustments_of(source->scene).SerializeAsString();
   const bool has_frames = world->model().visible.count() > 0;
   std::shared_ptr<SurfaceChanges> surface = same_cuts || !has_frames ? nullptr : changes_of(world->model(), cuts);
-  const std::uint64_t scene_hash = cuts.empty() ? compiled.scene_hash : hash_of_cut(compiled.scene_hash, wanted);
-  const auto next = std::make_shared<const Generation>(Generation{
-      present->number + 1, world->shared_model(), scene_hash, std::move(wanted), is_adjusted, std::move(cuts)});
+  const auto next =
+      next_generation(*present, world->shared_model(), compiled.scene_hash, std::move(wanted), std::move(cuts));
   Loop::Swap swap{std::move(world), next, reset == nullptr ? edit : nullptr, std::move(surface), reset == nullptr};
   return loop->call([&]() -> Result<void> {
     TM_RETURN_IF_ERROR(loop->do_swap(swap));

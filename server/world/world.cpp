@@ -44,7 +44,8 @@ Result<std::unique_ptr<World>> World::create(std::shared_ptr<const model::Model>
 
 World::World(std::shared_ptr<const model::Model> loaded, std::unique_ptr<model::Model> edited,
              std::unique_ptr<backend::SceneState> state)
-    : loaded_(std::move(loaded)),
+    : first_(std::move(loaded)),
+      loaded_(first_),
       edited_(std::move(edited)),
       model_(edited_ ? edited_.get() : loaded_.get()),
       state_(std::move(state)),

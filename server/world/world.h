@@ -49,8 +49,8 @@ class World {
                                                const backend::Backend& backend);
 
   const model::Model& model() const { return *model_; }
-  /// For threads that need the model for longer than this world may live.
-  /// It is as loaded: edits change a copy, which is model().
+  /// For threads that need the model for longer than this world may live. It has the present values and is as loaded
+  /// otherwise: edits change a copy, which is model().
   const std::shared_ptr<const model::Model>& shared_model() const { return loaded_; }
 
   /// Version of the v1::Topology that describes the visible surface; frames repeat it.
@@ -110,6 +110,19 @@ class World {
   void restore(const Saved& saved) { restore(in_layout(*loaded_, saved)); }
   /// Goes on from a state in the order of this world's layout.
   void restore(const Copied& copied);
+  /// Other values of this world's scene, ready on its device.
+  struct Values {
+    std::shared_ptr<const model::Model> model;  ///< made by model::with_values; after take_values the one before
+    std::unique_ptr<backend::PreparedEdit> buffers;
+    Guard guard;
+  };
+  /// Makes other values ready while the scene steps. Any thread may call it, if no other changes values meanwhile.
+  /// Throws what SceneState::prepare throws.
+  Values prepare_values(std::shared_ptr<const model::Model> next) const;
+  /// Goes on from the present state with other values. The elastic energy is then another one, so the energy balance
+  /// starts anew. Throws nothing but what the device throws.
+  void take_values(Values& values);
+
   /// Goes on from a state that a world of another material saved. Its elastic energy is another one, so the energy
   /// balance starts anew.
   void take_over(const Saved& saved);
@@ -250,9 +263,10 @@ class World {
     std::uint32_t left_ = 0, length_ = kLeast / 2, good_ = 0;
   };
 
-  std::shared_ptr<const model::Model> loaded_;
-  std::unique_ptr<model::Model> edited_;  // what edits have made of it; nullptr: the scene has no editing
-  const model::Model* model_;             // the one that steps
+  std::shared_ptr<const model::Model> first_;   // the values that the state was created with; tools refer to it
+  std::shared_ptr<const model::Model> loaded_;  // the present values
+  std::unique_ptr<model::Model> edited_;        // what edits have made of it; nullptr: the scene has no editing
+  const model::Model* model_;                   // the one that steps
   std::unique_ptr<backend::SceneState> state_;
   std::optional<model::Editor> editor_;  // no value: the scene has no editing
   model::ModelEdit severed_;             // springs of the present edit
@@ -272,7 +286,7 @@ class World {
   std::vector<ToolReading> readings_;
   std::vector<backend::GroupDiagnostics> diagnostics_;
   Enclosure enclosure_;
-  const Guard guard_;
+  Guard guard_;
   EnergyBalance energy_;
   double tools_work_j_ = 0;  // work of the tools in the current step
   bool recovering_ = false;

@@ -1,8 +1,11 @@
 #include <algorithm>
+#include <memory>
+#include <utility>
 #include <vector>
 
 #include <fmt/format.h>
 
+#include "model/values.h"
 #include "world/world.h"
 
 /// Edits of a world between two steps.
@@ -125,6 +128,24 @@ void World::take_shares(const model::Editor::Shares& shares) {
 Result<void> World::check_shares(const SavedBesideTissue& saved) const {
   if (!editor_ || saved.shares.ablations.empty()) return {};
   return editor_->check_shares(*model_, saved.shares);
+}
+
+World::Values World::prepare_values(std::shared_ptr<const model::Model> next) const {
+  auto buffers = state_->prepare(*next, model::changed(*loaded_, *next));
+  Guard guard(*next);
+  return {std::move(next), std::move(buffers), std::move(guard)};
+}
+
+void World::take_values(Values& values) {
+  state_->apply(*values.buffers);
+  if (editor_) {
+    state_->apply(editor_->take_values(*edited_, *values.model));
+  } else {
+    model_ = values.model.get();
+  }
+  loaded_.swap(values.model);
+  guard_ = values.guard;
+  energy_.start(energy_.kinetic_j(), diagnose_elastic_energy());
 }
 
 }  // namespace tensormass::world

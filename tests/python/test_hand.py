@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 import tensormass as tm
 from tensormass._src.demo import builtin_scene, builtin_scenes
-from tensormass_tools.hand import HandScript, script_of, scripts_of
+from tensormass_tools.hand import ClaimWatch, HandScript, script_of, scripts_of
 
 SCRIPT = """
 tool: probe
@@ -113,3 +114,27 @@ def test_each_scripted_hand_moves_a_tool_of_its_scene() -> None:
             np.testing.assert_allclose(script.positions_m[-1], start)
             np.testing.assert_allclose(script.joint_values[[0, -1]], [tool.joint_values] * 2)
     assert script_of("demo") is None
+
+
+def test_a_hand_is_told_that_another_client_holds_its_tool(server: tm.Server) -> None:
+    mesh = tm.grid([4, 4, 4], [0.03, 0.03, 0.03])
+    block = tm.Scene("block")
+    law = {"law": "stable_neo_hookean", "young_modulus_pa": 5e3, "poisson_ratio": 0.4, "density_kg_per_m3": 1000}
+    block.add_body("block", mesh, **law, fixed_nodes=mesh.nodes[:, 2] < 1e-9)
+    above_m = (0.015, 0.015, 0.2)
+    block.add_tool("probe", "spherical_probe", position_m=above_m, radius_m=0.01)
+    with (
+        server.load(block, lockstep=True) as scene,
+        scene.tool_stream("probe", valid_for_s=60) as first,
+        scene.tool_stream("probe", valid_for_s=60) as second,
+    ):
+        watch = ClaimWatch(scene, "probe", second.client_id)
+        assert watch.check() is None
+        ends = time.monotonic() + 30
+        while scene.feedback("probe").client_id != first.client_id:
+            assert time.monotonic() < ends
+            first.send(above_m)
+            scene.step()
+        assert "another client holds this tool" in str(watch.check())
+        assert watch.check() is None, "once"
+        assert ClaimWatch(scene, "probe", first.client_id).check() is None

@@ -269,13 +269,14 @@ def test_edits_are_recorded_and_repeated_to_the_last_bit(
                 wait_for_steps(path, 1, process)
                 hand.start()
                 before = scene.status().poses_received
-                scene.adjust(stiffness_factor={"tissue": 3}, rayleigh_mass_per_s={"tissue": 4})
+                # Changes that come at once, also while the tool touches.
+                scene.adjust(stiffness_factor={"tissue": 1.2}, rayleigh_mass_per_s={"tissue": 4})
                 wait_for_step(scene, scene.status().step + 40)
                 snapshot = scene.snapshot()
-                scene.adjust(stiffness_factor={"tissue": 0.8})
+                scene.adjust(stiffness_factor={"tissue": 1})
                 with pytest.raises(tm.FailedPreconditionError, match="or of other values"):
                     scene.restore(snapshot)
-                scene.adjust(stiffness_factor={"tissue": 3})
+                scene.adjust(stiffness_factor={"tissue": 1.2})
                 wait_for_step(scene, scene.restore(snapshot).step + 40)
                 scene.reset()
                 wait_for_step(scene, 40)

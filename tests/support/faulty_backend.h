@@ -77,6 +77,12 @@ class FaultyState final : public backend::SceneState {
   std::span<const float> visible_positions() override { return sound_->visible_positions(); }
   void gather_visible() override { sound_->gather_visible(); }
   void apply(const model::ModelEdit& edit) override { sound_->apply(edit); }
+  std::unique_ptr<backend::PreparedEdit> prepare(const model::Model& next,
+                                                 const std::vector<model::EditRange>& ranges) const override {
+    if (plan_(0, 0) == Fault::kWriteError) throw std::runtime_error("injected");
+    return sound_->prepare(next, ranges);
+  }
+  void apply(const backend::PreparedEdit& edit) override { sound_->apply(edit); }
   std::vector<backend::ConstantBuffer> read_constants() override { return sound_->read_constants(); }
   void read_blades(std::span<backend::BladeFront> fronts) override { sound_->read_blades(fronts); }
   void read_broken(std::span<std::uint8_t> broken) override { sound_->read_broken(broken); }

@@ -9,7 +9,9 @@
 
 #include <gtest/gtest.h>
 
+#include "support/eventually.h"
 #include "support/on_runner.h"
+#include "support/recorded.h"
 #include "support/refused.h"
 #include "support/scenes.h"
 #include "world/loop.h"
@@ -345,6 +347,85 @@ TEST_P(Adjusting, AFaultEndsWithItsValues) {
   EXPECT_EQ(adjusted->status().fault(), "");
   const auto stepped = runner->step(3);
   EXPECT_TRUE(stepped) << stepped.error().message;
+}
+
+/// Presses the probe of block_with_probe into the block by 6 mm.
+void press(Runner& runner) {
+  v1::ToolPose pose;
+  tests::set(*pose.mutable_position_m(), 0.05, 0.054, 0.05);
+  ASSERT_TRUE(runner.submit_pose("probe", pose));
+  ASSERT_TRUE(runner.step(150));
+  ASSERT_GT(runner.feedback("probe")->force_n().y(), 0);
+}
+
+/// Tissue under a tool holds energy. A hundred times the stiffness would make it a hundred times as much at once.
+TEST_P(Adjusting, TissueUnderAToolGetsStifferInParts) {
+  const v1::Scene scene = tests::block_with_probe(false, 6);
+  const auto runner = load(scene);
+  const auto started = runner->record({.check_every_steps = 1, .reset = true});
+  ASSERT_TRUE(started) << started.error().message;
+  press(*runner);
+  const double before_n = runner->feedback("probe")->force_n().y();
+  const auto adjusted = runner->adjust(stiffness(100));
+  ASSERT_TRUE(adjusted) << adjusted.error().message;
+  EXPECT_EQ(adjusted->adjustments().bodies(0).stiffness_factor(), 100) << "what it will be";
+  double factor = runner->snapshot()->adjustments().bodies(0).stiffness_factor();
+  EXPECT_LE(factor, 1.25);
+  int parts = 1;
+  for (int i = 0; i < 60; ++i) {
+    const auto status = runner->step(1);
+    ASSERT_TRUE(status) << status.error().message;
+    EXPECT_EQ(status->fault(), "");
+    const double now = runner->snapshot()->adjustments().bodies(0).stiffness_factor();
+    EXPECT_LE(now, factor * 1.2501);
+    if (now != factor) ++parts;
+    factor = now;
+  }
+  EXPECT_EQ(factor, 100);
+  EXPECT_GE(parts, 20);
+  EXPECT_EQ(runner->status().guard_events(), 0u) << "no step was made again";
+  EXPECT_GT(runner->feedback("probe")->force_n().y(), 20 * before_n);
+
+  const auto [request, checks] = tests::take_recorded(*started);
+  const auto other = load(scene);
+  const auto replayed = other->replay(request);
+  ASSERT_TRUE(replayed) << replayed.error().message;
+  tests::expect_repeated(*replayed, checks);
+}
+
+/// A reset takes what is left of a change, and another change goes on from the values that were wanted.
+TEST_P(Adjusting, PartsThatAreLeftAreNotForgotten) {
+  const auto runner = load(tests::block_with_probe(false, 4));
+  press(*runner);
+  ASSERT_TRUE(runner->adjust(stiffness(50)));
+  ASSERT_TRUE(runner->step(3));
+  v1::SceneAdjustments lighter;
+  lighter.mutable_gravity_m_per_s2()->set_y(-1);
+  const auto adjusted = runner->adjust(lighter);
+  ASSERT_TRUE(adjusted) << adjusted.error().message;
+  EXPECT_EQ(adjusted->adjustments().bodies(0).stiffness_factor(), 50);
+  EXPECT_EQ(adjusted->adjustments().gravity_m_per_s2().y(), -1);
+  EXPECT_LT(runner->snapshot()->adjustments().bodies(0).stiffness_factor(), 50);
+  ASSERT_TRUE(runner->reset());
+  EXPECT_EQ(runner->snapshot()->adjustments().bodies(0).stiffness_factor(), 50);
+  EXPECT_EQ(runner->snapshot()->adjustments().gravity_m_per_s2().y(), -1);
+}
+
+/// A scene that runs by the clock takes its parts without a call.
+TEST_P(Adjusting, PartsComeWhileAHandPresses) {
+  v1::Scene scene = tests::block_with_probe(false, 4);
+  scene.mutable_stepping()->set_lockstep(false);
+  const auto runner = load(scene);
+  v1::ToolPose pose;
+  tests::set(*pose.mutable_position_m(), 0.05, 0.056, 0.05);
+  pose.set_valid_for_s(3600);
+  ASSERT_TRUE(runner->submit_pose("probe", pose));
+  ASSERT_TRUE(tests::eventually([&] { return runner->feedback("probe")->touching(); }, std::chrono::seconds(60)));
+  ASSERT_TRUE(runner->adjust(stiffness(4)));
+  EXPECT_LT(runner->snapshot()->adjustments().bodies(0).stiffness_factor(), 4);
+  EXPECT_TRUE(tests::eventually([&] { return runner->snapshot()->adjustments().bodies(0).stiffness_factor() == 4; },
+                                std::chrono::seconds(60)));
+  EXPECT_EQ(runner->status().fault(), "");
 }
 
 TM_ON_EACH_BACKEND(Adjusting);

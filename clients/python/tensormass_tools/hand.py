@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ import numpy as np
 from google.protobuf import json_format
 from google.protobuf.descriptor import Descriptor
 
-from tensormass import FloatArray, InvalidArgumentError, NotFoundError, connect
+from tensormass import FloatArray, InvalidArgumentError, NotFoundError, SceneHandle, connect
 from tensormass._shared import strict_yaml
 from tensormass._shared.scene_fields import checked_fields
 from tensormass._shared.vectors import quaternion
@@ -31,6 +32,8 @@ from tensormass.v1 import stream_pb2
 from tensormass_tools.running import find_server
 
 RATE_HZ = 120.0
+#: Time between two checks of whether another client holds the tool [s].
+BETWEEN_CHECKS_S = 1.0
 #: A hand that is gone lets go after this time of the simulation [s].
 VALID_FOR_S = 0.5
 _HANDS = Path(__file__).parents[1] / "tensormass" / "scenes" / "hands"
@@ -147,12 +150,37 @@ def run(args: argparse.Namespace) -> int:
     with connect(find_server(args.server), keys=args.keys) as server:
         scene = server.scene(args.scene)
         with scene.tool_stream(script.tool, args.transport, valid_for_s=VALID_FOR_S) as stream:
+            watch = ClaimWatch(scene, script.tool, stream.client_id)
             start = now = time.monotonic()
+            checks_at = start + BETWEEN_CHECKS_S
             while args.seconds is None or now - start < args.seconds:
                 stream.send(*script.at(now - start))
+                if now >= checks_at:
+                    if (news := watch.check()) is not None:
+                        print(news, file=sys.stderr, flush=True)
+                    checks_at = now + BETWEEN_CHECKS_S
                 time.sleep(1 / RATE_HZ)
                 now = time.monotonic()
     return 0
+
+
+class ClaimWatch:
+    """Tells a hand whether the server takes its poses, because the stream itself would not."""
+
+    def __init__(self, scene: SceneHandle, tool: str, client_id: int) -> None:
+        self._scene, self._tool, self._client_id = scene, tool, client_id
+        self._refused = False
+
+    def check(self) -> str | None:
+        """Returns what has changed since the last check, in words."""
+        feedback = self._scene.feedback(self._tool)
+        refused = feedback.claimed and feedback.client_id != self._client_id
+        if refused == self._refused:
+            return None
+        self._refused = refused
+        if refused:
+            return f"{self._tool}: another client holds this tool, so poses of this hand are refused until it lets go"
+        return f"{self._tool}: this hand has the tool again"
 
 
 def _read_pose(pose: object, where: str, path: str) -> tuple[float, stream_pb2.ToolPose]:

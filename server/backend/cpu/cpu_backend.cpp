@@ -29,6 +29,28 @@ namespace tensormass::backend {
 
 namespace {
 
+/// Copies to buffers, the neighbouring ones in one.
+class Copies final : public PreparedEdit {
+ public:
+  void add(std::byte* to, const void* from, std::size_t bytes) {
+    if (copies_.empty() || copies_.back().to + copies_.back().bytes != to) copies_.push_back({to, from_.size(), 0});
+    copies_.back().bytes += bytes;
+    const auto* const first = static_cast<const std::byte*>(from);
+    from_.insert(from_.end(), first, first + bytes);
+  }
+  void run() const {
+    for (const Copy& copy : copies_) std::memcpy(copy.to, from_.data() + copy.from, copy.bytes);
+  }
+
+ private:
+  struct Copy {
+    std::byte* to;
+    std::size_t from, bytes;
+  };
+  std::vector<Copy> copies_;
+  std::vector<std::byte> from_;
+};
+
 template <class Real>
 class CpuState final : public SceneState {
  public:
@@ -110,6 +132,15 @@ class CpuState final : public SceneState {
     }
     if (edit.changes_loads) load_factors_.forget(model_);
   }
+  std::unique_ptr<PreparedEdit> prepare(const model::Model& next,
+                                        const std::vector<model::EditRange>& ranges) const override {
+    auto out = std::make_unique<Copies>();
+    model::for_each_write<Real>(
+        next, ranges, bound_.buffers, buffers_,
+        [&](void* to, const void* from, std::size_t bytes) { out->add(static_cast<std::byte*>(to), from, bytes); });
+    return out;
+  }
+  void apply(const PreparedEdit& edit) override { static_cast<const Copies&>(edit).run(); }
   std::vector<ConstantBuffer> read_constants() override {
     std::vector<ConstantBuffer> all;
     for (const cpu::Arena::Constant& one : arena_.constants()) {

@@ -7,6 +7,8 @@
 
 #include <cuda_runtime.h>
 
+#include "backend/backend.h"
+#include "backend/cuda/graph.cuh"
 #include "backend/cuda/memory.cuh"
 #include "backend/edited_state.h"
 
@@ -49,6 +51,52 @@ __global__ void move_slips(const view::SceneView<Real> scene, const std::uint32_
   for (std::uint32_t m = 0; m < count; ++m) move_slip(scene.contact, i, moves[2 * m], moves[2 * m + 1]);
 }
 
+/// Returns the entries that write some bytes. to: on the device
+template <class Add>
+void split_into_entries(void* to, const void* from, std::size_t bytes, const Add& add) {
+  for (std::size_t at = 0; at < bytes; at += 4) {
+    Scattered entry{static_cast<char*>(to) + at, 0, static_cast<std::uint32_t>(std::min<std::size_t>(bytes - at, 4))};
+    std::memcpy(&entry.value, static_cast<const char*>(from) + at, entry.bytes);
+    add(entry);
+  }
+}
+
+/// Entries in device memory, brought there while the scene steps. Memory is allocated and released in a stream of its
+/// own: cudaFree would wait for the work of all streams.
+class DeviceEntries final : public PreparedEdit {
+ public:
+  explicit DeviceEntries(const std::vector<Scattered>& entries) : count_(static_cast<std::uint32_t>(entries.size())) {
+    if (count_ == 0) return;
+    const std::size_t bytes = entries.size() * sizeof(Scattered);
+    check(cudaMallocAsync(reinterpret_cast<void**>(&entries_), bytes, stream_.get()), "memory of an edit");
+    try {
+      check(cudaMemcpyAsync(entries_, entries.data(), bytes, cudaMemcpyHostToDevice, stream_.get()), "edit");
+      check(cudaStreamSynchronize(stream_.get()), "edit");
+    } catch (...) {
+      cudaFreeAsync(entries_, stream_.get());
+      throw;
+    }
+  }
+  DeviceEntries(const DeviceEntries&) = delete;
+  DeviceEntries& operator=(const DeviceEntries&) = delete;
+  /// Needs the kernel of `run` to have ended.
+  ~DeviceEntries() override {
+    if (entries_ != nullptr) cudaFreeAsync(entries_, stream_.get());
+  }
+  void run(cudaStream_t stream) const {
+    constexpr unsigned kThreads = 256;
+    if (count_ == 0) return;
+    scatter<<<(count_ + kThreads - 1) / kThreads, kThreads, 0, stream>>>(static_cast<const Scattered*>(entries_),
+                                                                         count_);
+    check(cudaGetLastError(), "edit");
+  }
+
+ private:
+  const Stream stream_ = make_stream();
+  std::uint32_t count_;
+  Scattered* entries_ = nullptr;
+};
+
 /// Collects entries and numbers in page-locked memory and launches the kernels that read them there.
 class EditQueue {
  public:
@@ -62,12 +110,10 @@ class EditQueue {
     used_ = 0;
   }
   void write(void* to, const void* from, std::size_t bytes, cudaStream_t stream) {
-    for (std::size_t at = 0; at < bytes; at += 4) {
+    split_into_entries(to, from, bytes, [&](const Scattered& entry) {
       if (used_ == entries_.size()) flush(stream);
-      Scattered& entry = entries_.data()[used_++];
-      entry = {static_cast<char*>(to) + at, 0, static_cast<std::uint32_t>(std::min<std::size_t>(bytes - at, 4))};
-      std::memcpy(&entry.value, static_cast<const char*>(from) + at, entry.bytes);
-    }
+      entries_.data()[used_++] = entry;
+    });
   }
   /// Launches what has been collected.
   void end(cudaStream_t stream) {

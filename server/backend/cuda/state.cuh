@@ -186,6 +186,22 @@ class CudaState final : public SceneState {
     if (!edit.held_rows.empty() || !edit.severed.empty() || !edit.moved_triangles.empty()) wait("edit");
     if (edit.changes_loads) load_factors_.forget(model_);
   }
+  std::unique_ptr<PreparedEdit> prepare(const model::Model& next,
+                                        const std::vector<model::EditRange>& ranges) const override {
+    std::vector<Scattered> entries;
+    std::size_t values = 0;
+    for (const model::EditRange& range : ranges) values += range.count;
+    entries.reserve(values * sizeof(Real) / sizeof(entries[0].value));
+    model::for_each_write<Real>(
+        next, ranges, bound_.buffers, buffers_, [&](void* to, const void* from, std::size_t bytes) {
+          split_into_entries(to, from, bytes, [&](const Scattered& entry) { entries.push_back(entry); });
+        });
+    return std::make_unique<DeviceEntries>(entries);
+  }
+  void apply(const PreparedEdit& edit) override {
+    static_cast<const DeviceEntries&>(edit).run(stream());
+    wait("edit");  // the caller may release it
+  }
   std::vector<ConstantBuffer> read_constants() override {
     wait("read back");
     std::vector<ConstantBuffer> all;

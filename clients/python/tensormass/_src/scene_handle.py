@@ -376,7 +376,9 @@ class SceneHandle:
 
             scene.adjust(stiffness_factor={"liver": 2.0})
 
-        Takes as long as a load, but the scene stops for the time of a few steps only. A reset keeps the changes.
+        The scene goes on. Only if gravity is new to it, has a schedule, or changes in a quasi-static scene is it
+        compiled again, which takes as long as a load. While a tool touches, a large change of stiffness comes in parts,
+        a quarter every 10 ms of simulated time or every step. A reset keeps the changes.
 
         Args:
             gravity_m_per_s2: [3] m/s².
@@ -385,12 +387,12 @@ class SceneHandle:
             rayleigh_stiffness_s: for each body, β of its Rayleigh damping [s].
 
         Returns:
-            All values after the call. Without arguments it changes nothing.
+            All values after the last part. Without arguments it changes nothing.
 
         Raises:
             NotFoundError: no such body.
             InvalidArgumentError: a value outside its range.
-            ResourceExhaustedError: the scene does not fit into memory twice.
+            ResourceExhaustedError: no memory for the change; the scene is unchanged.
         """
         changes = control_pb2.SceneAdjustments()
         if gravity_m_per_s2 is not None:
