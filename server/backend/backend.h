@@ -103,6 +103,7 @@ struct StepHistory {
   std::vector<double> solution;               ///< [row_count, 4] of the last linear solve
   double last_dt_s = 0;                       ///< length of the last step; 0: there was none
   double largest_force_squared = 0;           ///< see solver::newton_step
+  std::uint32_t coarse_solves = 0;            ///< see CoarseSwitch
 };
 
 /// The front of a blade point at the end of a step (view::BladeReport).

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <span>
 
+#include "backend/coarse_switch.h"
 #include "backend/saved_state.h"
 #include "backend/step_inputs.h"
 #include "view/scene.h"
@@ -31,12 +32,16 @@ class Checkpoint {
     past_.solution = 1 - checkpoint_.solution;
   }
   /// Call after fields were written from outside.
-  void start_anew(double internal_dt_s) { past_ = {.internal_dt_s = internal_dt_s}; }
+  void start_anew(double internal_dt_s) {
+    past_ = {.internal_dt_s = internal_dt_s};
+    coarse_ = CoarseSwitch();
+  }
   /// Call after a history was written from outside; see write_history.
   void go_on(const StepHistory& history) {
     past_.dt_s = history.last_dt_s;
     past_.largest_force_squared = history.largest_force_squared;
     past_.solution = 0;
+    coarse_ = CoarseSwitch(history.coarse_solves);
   }
   /// Implements SceneState::restore.
   ///
@@ -86,10 +91,14 @@ class Checkpoint {
 
   const StepRecord& past() const { return past_; }
   double internal_dt_s() const { return past_.internal_dt_s; }
+  /// A step that is taken back leaves it as it is: its retry has the same matrix.
+  CoarseSwitch& coarse() { return coarse_; }
+  const CoarseSwitch& coarse() const { return coarse_; }
   double& largest_force_squared() { return past_.largest_force_squared; }
 
  private:
   StepRecord past_, checkpoint_;
+  CoarseSwitch coarse_;
   bool restored_ = false;  // restored since the checkpoint was saved
 };
 

@@ -66,11 +66,13 @@ void write_state(const model::Model& m, const view::SceneView<Real>& view,
 
 /// Reads the history of the steps. download: as in read_state.
 template <class Real, class Download>
-StepHistory read_history(const view::SceneView<Real>& view, const StepRecord& past, const Download& download) {
+StepHistory read_history(const view::SceneView<Real>& view, const StepRecord& past, std::uint32_t coarse_solves,
+                         const Download& download) {
   const std::size_t reals = 4 * std::size_t{view.patches.row_count};
   StepHistory history;
   history.last_dt_s = past.dt_s;
   history.largest_force_squared = past.largest_force_squared;
+  history.coarse_solves = coarse_solves;
   if (view.state.previous_displacement != nullptr) {
     history.previous_displacement = download(view.state.previous_displacement, reals);
     history.previous_velocity = download(view.state.previous_velocity, reals);

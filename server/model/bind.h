@@ -10,6 +10,7 @@
 #include "model/edit_buffers.h"
 #include "model/model.h"
 #include "physics/lists.h"
+#include "view/coarse.h"
 
 /// Allocates the buffers of a model and makes the views that stages read (view/scene.h).
 ///
@@ -312,6 +313,32 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
 template <class Real, class Arena>
 BoundScene<Real> bind(const Model& m, Arena& arena) {
   return bind<Real>(m, arena, make_exchange<Real>(m, arena));
+}
+
+/// Allocates the buffers of the coarse level. `aggregate_count` is 0 if the scene has none.
+template <class Real, class Arena>
+view::CoarseView<Real> bind_coarse(const Model& m, Arena& arena) {
+  const std::size_t count = m.aggregates.count(), n = view::kRigidModes * count, patches = m.layout.patch_count;
+  const std::size_t local = count > 0 ? std::size_t{m.layout.row_count} + m.layout.halo.size() : 0;
+  const std::size_t padded = view::kCoarseStride * count;
+  view::CoarseView<Real> c{};
+  c.aggregate_count = m.aggregates.count();
+  c.row_aggregate = arena.template constant<std::uint32_t>("aggregates of rows", m.aggregates.row_aggregate);
+  c.center_rows = arena.template constant<std::uint32_t>("centres of aggregates", m.aggregates.center_rows);
+  c.inverse_sizes = arena.template constant<Real>("sizes of aggregates", m.aggregates.inverse_sizes);
+  c.sums = arena.template zeros<double>("coarse matrix of patches", patches * n * n);
+  c.factor = arena.template zeros<double>("coarse matrix", n * n);
+  c.lower = arena.template zeros<Real>("coarse factor", n * n);
+  c.upper = arena.template zeros<Real>("transposed coarse factor", n * n);
+  c.inverse_pivots = arena.template zeros<Real>("coarse pivots", n);
+  c.rows = arena.template zeros<Real>("rigid modes of rows", view::kCoarseRowReals * local);
+  c.exchanged = arena.template zeros<Real>("coarse sums", 2 * patches * padded);
+  const std::size_t rows = count > 0 ? m.layout.row_count : 0;
+  c.row_sums = arena.template zeros<double>("sums of rows", 9 * rows);
+  c.row_errors = arena.template zeros<Real>("rounding errors of rows", 9 * rows);
+  c.row_losses = arena.template zeros<Real>("rounding losses of rows", view::kRowLossReals * rows);
+  c.vectors = arena.template zeros<Real>("coarse vectors", patches * view::kCoarseVectors * padded);
+  return c;
 }
 
 /// Returns whether four reals can be read at once from here on; true for nullptr.

@@ -200,6 +200,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
     model.links = make_links(
         {.bodies = bodies, .links = links, .layout = model.layout, .contact = model.contact, .tools = model.tools});
   }
+  model.aggregates = make_aggregates(model, bodies.merged, model.layout);
   const bool may_touch = !model.tools.empty() || !links.empty();
   if (may_touch && !model.iterates() && !model.quasi_static()) {  // else no step balances momentum
     model.free_bodies = find_free_bodies({.bodies = bodies,

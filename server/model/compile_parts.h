@@ -130,6 +130,10 @@ struct FreeBodyInput {
 /// Finds the free bodies whose momentum a step can balance.
 FreeBodies find_free_bodies(const FreeBodyInput& input);
 
+/// Divides the rows into aggregates for the coarse level of a solve: compact, connected pieces of about equal size.
+/// Empty if no solve of the scene can use them.
+Aggregates make_aggregates(const Settings& settings, const mesh::Mesh& mesh, const matrix::Layout& layout);
+
 /// What clients see of the bodies.
 struct VisibleBodies {
   VisibleSurface surface;

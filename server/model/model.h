@@ -372,6 +372,15 @@ struct ToolModel {
   }
 };
 
+/// Aggregates of rows for the coarse level of a solve (view/coarse.h).
+struct Aggregates {
+  std::vector<std::uint32_t> row_aggregate;  ///< [row_count] aggregate, or view::kNoAggregate
+  std::vector<std::uint32_t> center_rows;    ///< [aggregate]
+  std::vector<double> inverse_sizes;         ///< [aggregate] 1/m
+
+  std::uint32_t count() const { return static_cast<std::uint32_t>(center_rows.size()); }
+};
+
 struct EditTables;   // edit_tables.h
 struct ValueTables;  // values.h
 
@@ -405,6 +414,7 @@ struct Model : Settings {
   ScheduledLoads scheduled;
   ContactSurface contact;                      ///< empty: neither tools nor contact between bodies
   Links links;                                 ///< empty: neither contact between bodies nor attachments nor blades
+  Aggregates aggregates;                       ///< empty: no solve has a coarse level
   FreeBodies free_bodies;                      ///< empty: no step balances momentum
   VisibleSurface visible;                      ///< empty: no frames
   std::vector<VisibleAttachment> attachments;  ///< empty: no frames, or no attachments

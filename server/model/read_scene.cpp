@@ -145,6 +145,7 @@ Result<void> read_solver(const v1::Solver& solver, Settings& out) {
                                                                        : 1e-3,
                                              0, 0.5, "scene.solver.cg_tolerance"));
   out.cg_tolerance = tolerance;
+  if (solver.has_coarse_level()) out.coarse_use = solver.coarse_level() ? CoarseUse::kAlways : CoarseUse::kNever;
   TM_RETURN_IF_ERROR(read_budget(solver, out));
   if (solver.has_cpu_threads()) {
     TM_RETURN_IF_ERROR(read_number(solver.cpu_threads(), 1, limits::kMaxCpuThreads, "scene.solver.cpu_threads"));

@@ -17,6 +17,13 @@ struct Editing {
   std::optional<std::uint32_t> max_new_triangles, max_new_vertices;
 };
 
+/// Whether linear solves have a coarse level (v1::Solver.coarse_level).
+/// kAutomatic: as soon as a solve has taken more than kCoarseFromIterations.
+enum class CoarseUse : std::uint8_t { kAutomatic, kNever, kAlways };
+
+/// By a count of operations the coarse level costs a CPU as much as about 30 iterations, and leaves 20 to 45 of them.
+inline constexpr std::uint32_t kCoarseFromIterations = 80;
+
 /// What a scene says as a whole. Constant as long as the scene is loaded, whatever happens to its bodies.
 struct Settings {
   std::string name;
@@ -35,6 +42,7 @@ struct Settings {
   std::uint32_t floor_cg_iterations = 0;  ///< the budget may lower cg_max_iterations to this
   double floor_tolerance = 0;             ///< steps with a larger residual are not published; 0: no limit
   std::uint32_t cg_max_iterations = 0;
+  CoarseUse coarse_use = CoarseUse::kAutomatic;
   /// Bounds that the scene sets for the guard; absent: world/guard.h has defaults.
   std::optional<double> max_move_m, max_distance_m, max_energy_ratio;
   bool goes_on = false;  ///< v1::Guard::ON_FAULT_GO_ON

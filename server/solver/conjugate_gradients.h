@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "matrix/edges.h"
+#include "solver/coarse_level.h"
 #include "solver/link_product.h"
 #include "solver/vector_updates.h"
 #include "view/scene.h"
@@ -34,6 +35,14 @@
 ///    resemble each other, so it brings the solve as far as many iterations do. Then conjugate gradients start at
 ///    p = r. docs/decisions/preconditioner.md has the gain, and says why x does not start at that solution itself.
 ///    A step after one of another length has no such solution, nor has the first step of a scene: p = b̂ there.
+/// 8. A coarse level (coarse_level.h) preconditions a solve that would take many iterations. Then z = r + Ẑ E⁻¹ Ẑᵀ r
+///    replaces r in α, β and p, and c = Ẑᵀ r, y = E⁻¹ c, d = Ẑᵀ q:
+///
+///      α   r·z / p·q             r·z = r·r + c·y       r'·r' = r·r − 2α r·q + α² q·q,  r·q = p·q − y·d
+///      β   r'·z' / r·z           p' = r' + Ẑ y' + β p
+///
+///    The solve then ends at a fraction of √(r·z), the residual's M⁻¹ norm. That is close to the error's energy norm,
+///    where √(r·r) says nothing about smooth errors: a slender body may still be half off.
 namespace tensormass::solver {
 
 /// Returns where the solution of the last step is, [row_count, 4], in units of Â's system.
@@ -93,6 +102,21 @@ class Recurrence {
     ++iterations_;
     return true;
   }
+  /// Does what `take` does in a solve with a coarse level. `finish` then computes β.
+  /// cy: c · y. yd: y · d. Neither counts along the last step's solution.
+  TM_HOST_DEVICE bool take(Real pq, Real qq, Real rr, Real cy, Real yd) {
+    searches_coarse_ = !is_along_last();
+    rz_ = rr + cy;
+    if (!take(pq, qq, rz_)) return false;
+    if (searches_coarse_) plain_rr_next_ = maximum(rr - 2 * alpha_ * (pq - yd) + alpha_ * alpha_ * qq, Real(0));
+    return true;
+  }
+  /// Computes β of a solve with a coarse level, and what `goes_on` tests: r·z instead of r·r. cy: c' · y'.
+  TM_HOST_DEVICE void finish(Real cy) {
+    if (!searches_coarse_) return;
+    rr_next_ = plain_rr_next_ + cy;
+    beta_ = quotient(rr_next_, rz_);
+  }
   /// Whether another iteration is needed. Call after an update. The solve ends when ‖r'‖ has fallen to `cg_tolerance`
   /// ‖b̂‖.
   TM_HOST_DEVICE bool goes_on() const {
@@ -116,17 +140,22 @@ class Recurrence {
   Real alpha_ = 0, beta_ = 0, first_rr_ = 0, rr_next_ = 0;
   std::uint32_t iterations_ = 0;
   bool negative_curvature_ = false;
+  // Only of a solve with a coarse level.
+  Real rz_ = 0, plain_rr_next_ = 0;  // r·z, and r'·r'
+  bool searches_coarse_ = false;     // this iteration is not along the last step's solution
 };
 
 /// Solves Â x = b̂. The system must be scaled: `edges` holds Â, `rhs` holds b̂.
+/// coarse: the patch's CoarseLevel, or NoCoarseLevel.
 /// Reads edges, diagonal, rhs, kept, links; writes solution, kept, residual, direction, product, own_product,
 /// reduction, solve_report.
-template <class Team, class Real>
+template <class Team, class Real, class Coarse>
 TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::PatchesView& patches,
                                                    const view::StateView<Real>& state,
                                                    const view::MatrixView<Real>& matrix,
                                                    const view::SolveView<Real>& solve,
-                                                   const view::LinksView<Real>& links) {
+                                                   const view::LinksView<Real>& links,
+                                                   [[maybe_unused]] Coarse& coarse) {
   using Lanes = typename Team::template Lanes<Real>;
   using T = typename Lanes::Scalar;
   const view::Patch patch = view::patch_of(patches, team.patch());
@@ -154,6 +183,10 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
   team.for_each(0, patch.halo_count,
                 [&](std::uint32_t h) { start_from(patch.own() + h, patches.halo[patch.halo_begin + h]); });
   team.sync();
+  if constexpr (Coarse::kExists) {
+    coarse.begin(state, matrix, r);
+    if (!starts_from_last) coarse.add_modes(p);
+  }
 
   // r·r of the own rows is summed where r is computed: here, and in each update.
   T sum_rr = T(0), sum_pr = T(0);
@@ -175,6 +208,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
       if (matrix::stores_edges(matrix)) {
         own_product = solve.own_product + std::size_t{4} * patch.row_begin;
         matrix::multiply_edges<Lanes>(matrix, patch, p, own_product);
+        if constexpr (Coarse::kExists) coarse.correct(p, own_product);
         if (has_links) {
           add_link_product(team, state, matrix, links, solve.direction, solve.own_product, link_pq, link_qq);
           link_pq = link_qq = 0;  // the next line sums them
@@ -206,10 +240,18 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
       }
     }
     const bool along_last = recurrence.is_along_last();
+    if constexpr (Coarse::kExists) coarse.publish(own_product, iteration);
     Real sums[3] = {Lanes::sum(sum_pq) + link_pq, along_last ? Lanes::sum(sum_pr) : Lanes::sum(sum_qq) + link_qq,
                     Lanes::sum(sum_rr)};
     team.exchange(sums, solve.reduction + std::size_t{iteration & 1} * 4 * patches.patch_count);
-    if (!recurrence.take(sums[0], sums[1], sums[2])) break;
+    if constexpr (Coarse::kExists) {
+      coarse.receive(iteration);
+      if (!recurrence.take(sums[0], sums[1], sums[2], coarse.cy(), coarse.yd())) break;
+      coarse.advance(recurrence.alpha());
+      recurrence.finish(coarse.cy());
+    } else {
+      if (!recurrence.take(sums[0], sums[1], sums[2])) break;
+    }
     const Real alpha = recurrence.alpha(), beta = recurrence.beta();
     // Component by component: a row has four, and the fourth stays zero.
     sum_rr = T(0);
@@ -231,6 +273,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
       view::store3<Real>(r, local, residual);
       view::store3<Real>(p, local, next_direction(residual, view::load3<Real>(p, local), beta));
     });
+    if constexpr (Coarse::kExists) coarse.add_modes(p);
     team.sync();
   } while (recurrence.goes_on());
 
@@ -238,6 +281,15 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
     keep_solution(patches, state, solve, row, view::load3<Real>(solve.solution, row));
   });
   if (team.leads()) recurrence.report(solve);
+}
+
+/// Solves it without a coarse level.
+template <class Team, class Real>
+TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::PatchesView& patches,
+                                        const view::StateView<Real>& state, const view::MatrixView<Real>& matrix,
+                                        const view::SolveView<Real>& solve, const view::LinksView<Real>& links) {
+  NoCoarseLevel none;
+  conjugate_gradients(team, patches, state, matrix, solve, links, none);
 }
 
 }  // namespace tensormass::solver

@@ -46,6 +46,7 @@ template <class Real>
 void bind_all(const model::Model& model, CountingArena& arena) {
   model::bind<Real>(model, arena);
   for (std::size_t group = 0; group < model.groups.size(); ++group) model::bind<Real>(model, group, arena);
+  model::bind_coarse<Real>(model, arena);
 }
 
 std::string_view own_damping(model::Integrator integrator) {

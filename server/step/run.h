@@ -28,6 +28,8 @@
 ///
 ///   team   the thread (CPU, backend/cpu/team.h) or the thread block (CUDA, backend/cuda/team.cuh) that runs one patch
 ///
+/// The coarse level and its row errors are not here either: the CPU's backend runs them while a solve needs them.
+///
 /// Two scopes are not here, because the backends have code of their own for them: kShapeAndLaw (element passes, which
 /// are compiled in a file each) and kFusedOnDevice (kernels of a GPU). run() then does nothing.
 namespace tensormass::step {

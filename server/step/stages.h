@@ -7,6 +7,7 @@
 #include "matrix/packed_block.h"
 #include "model/model.h"
 #include "physics/lists.h"
+#include "view/coarse.h"
 
 /// The table of stages: all stages that a step can have, in the order in which they run.
 ///
@@ -36,11 +37,13 @@ enum class StageKind : std::uint8_t {
   kDecompose,
   kElements,
   kFinishRows,
+  kRowErrors,
   kExternalForces,
   kPressure,
   kAssembleContact,
   kAssembleLinks,
   kMeasureResidual,
+  kCoarseLevel,
   kFactorize,
   kScaleEdges,
   kSolve,
@@ -165,7 +168,7 @@ constexpr bool costs_an_iteration(const StageInfo& info) {
 }
 /// Returns whether a stage is part of every step; the others run now and then.
 constexpr bool runs_every_step(const StageInfo& info) {
-  return info.phase != Phase::kBacktrack && info.phase != Phase::kDiagnostics && info.phase != Phase::kFrame;
+  return info.kind != StageKind::kRowErrors && info.kind != StageKind::kCoarseLevel && info.phase != Phase::kBacktrack && info.phase != Phase::kDiagnostics && info.phase != Phase::kFrame;
 }
 
 // clang-format off
@@ -254,6 +257,10 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) {
      return Cost{s.slots * (9 * s.real * 2 + 4) + s.rows * (4 * 4 + 8) * s.real, s.slots * 54 + s.rows * 60};
    }},
+  {StageKind::kRowErrors, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "measure row errors", "matrix", "what rounding adds to the sum of each row", "as for the coarse level",
+   [](const StageSizes& s) { return s.m.aggregates.count() > 0; },
+   [](const StageSizes& s) { return Cost{s.slots * (9 * s.real + 4) + s.rows * 9 * (8 + s.real), s.slots * 18}; }},
   {StageKind::kExternalForces, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "external forces", "gravity and loads", "right-hand side",
    "on a CPU, if the scene has gravity or loads; on a GPU finished rows have them",
@@ -288,6 +295,14 @@ inline constexpr StageInfo kStages[] = {
    "measure residual", "right-hand side, forces", "residual of each patch", "the scene solves more than once a step",
    [](const StageSizes& s) { return s.m.iterates(); },
    [](const StageSizes& s) { return Cost{s.rows * 4 * 4 * s.real, s.rows * 24}; }},
+  {StageKind::kCoarseLevel, Phase::kSolve, Scope::kScene, Communication::kNone,
+   "coarse level", "matrix, displacement", "sums of rows, factor of the coarse matrix",
+   "on a CPU, once a solve has taken more than 80 iterations, or if the scene asks for it",
+   [](const StageSizes& s) { return s.m.aggregates.count() > 0; },
+   [](const StageSizes& s) {
+     const double n = view::kRigidModes * static_cast<double>(s.m.aggregates.count());
+     return Cost{s.slots * (9 * s.real + 4) + 4 * n * n * 8, s.slots * 60 + n * n * n / 3};
+   }},
   {StageKind::kFactorize, Phase::kSolve, Scope::kScene, Communication::kNone,
    "factorize diagonal", "matrix diagonal", "inverse Cholesky factors, right-hand side",
    "always, unless the resident solve does it",

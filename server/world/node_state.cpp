@@ -350,6 +350,7 @@ NodeState by_node(const Model& m, const LayoutState& state) {
   out.internal_dt_s = rows.internal_dt_s;
   out.last_dt_s = history.last_dt_s;
   out.largest_force_squared = history.largest_force_squared;
+  out.coarse_solves = history.coarse_solves;
 
   TM_ASSERT(rows.internal_variables.size() == variables_in_layout(m), "a state is of the same model");
   out.internal_variables.resize(sizes.internal_variables);
@@ -402,6 +403,7 @@ LayoutState in_layout(const Model& m, const NodeState& state) {
   rows.internal_dt_s = state.internal_dt_s;
   history.last_dt_s = state.last_dt_s;
   history.largest_force_squared = state.largest_force_squared;
+  history.coarse_solves = state.coarse_solves;
 
   rows.internal_variables.assign(variables_in_layout(m), 0.0);
   for_each_viscoelastic(m, [&](const GroupVariables& group, std::size_t in_layout, std::size_t by_element) {

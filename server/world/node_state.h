@@ -69,9 +69,10 @@ struct NodeState {
   std::vector<std::uint8_t> broken;           ///< [spring] 1: it is broken
   std::vector<EdgePair> edge_pairs;           ///< ascending; no two of the same edges
   std::vector<double> blade_points;           ///< [blade point][kBladeReals]
-  double internal_dt_s = 0;                   ///< these three as in RowState and StepHistory
+  double internal_dt_s = 0;                   ///< these four as in RowState and StepHistory
   double last_dt_s = 0;
   double largest_force_squared = 0;
+  std::uint32_t coarse_solves = 0;
 };
 
 /// Sizes of the arrays of a NodeState; 0: the scene does not use it.

@@ -295,6 +295,7 @@ void write_tissue(const NodeState& tissue, v1::SnapshotState& out) {
   write_doubles(tissue.solution, *out.mutable_solution());
   out.set_last_dt_s(tissue.last_dt_s);
   out.set_largest_force_squared(tissue.largest_force_squared);
+  out.set_coarse_solves(tissue.coarse_solves);
 }
 
 Result<NodeState> read_tissue(const v1::SnapshotState& message, const model::Model& model) {
@@ -331,6 +332,7 @@ Result<NodeState> read_tissue(const v1::SnapshotState& message, const model::Mod
   out.internal_dt_s = internal_dt_s;
   out.last_dt_s = last_dt_s;
   out.largest_force_squared = largest;
+  out.coarse_solves = message.coarse_solves();
   return out;
 }
 

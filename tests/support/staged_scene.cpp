@@ -3,6 +3,7 @@
 #include <thread>
 
 #include "backend/cpu/elements.h"
+#include "solver/row_sums.h"
 #include "step/run.h"
 #include "support/host_rows.h"
 
@@ -34,6 +35,25 @@ void StagedScene<Real>::run(const step::Stage& stage) {
     const model::ElementGroup& group = model.groups[stage.group];
     const auto pass = backend::cpu::element_passes<Real>(group.shape, group.law).tensors;
     on_each_patch([&](backend::cpu::Team& team) { pass(team, view, elements); });
+  }
+  if (uses_coarse_ && stage.info->kind == step::StageKind::kRowErrors) {
+    return on_each_patch([&](backend::cpu::Team& team) {
+      solver::measure_row_errors(team, view.patches, view.state, view.matrix, coarse);
+    });
+  }
+  if (uses_coarse_ && stage.info->kind == step::StageKind::kCoarseLevel) {
+    on_each_patch([&](backend::cpu::Team& team) {
+      solver::sum_free_rows(team, view.patches, view.state, view.matrix, coarse);
+      solver::assemble_coarse(team, view.patches, view.state, view.matrix, coarse);
+    });
+    return on_each_patch([&](backend::cpu::Team& team) { solver::factorize_coarse(team, view.patches, coarse); });
+  }
+  if (uses_coarse_ && stage.info->kind == step::StageKind::kSolve) {
+    return on_each_patch([&](backend::cpu::Team& team) {
+      solver::measure_row_losses(team, view.patches, view.matrix, coarse);
+      solver::CoarseLevel<backend::cpu::Team, Real> level(team, view.patches, coarse);
+      solver::conjugate_gradients(team, view.patches, view.state, view.matrix, view.solve, view.links, level);
+    });
   }
   step::with_stage(model, stage, [&](auto type) {
     on_each_patch([&](backend::cpu::Team& team) { decltype(type)::run(team, view, elements); });

@@ -53,6 +53,8 @@ class StagedScene {
   /// In staged_scene.cpp: all stages together take minutes to compile.
   void run(const step::Stage& stage);
   void step() { run_through(step::StageKind::kMeasureContact); }
+  /// From now on, the stages of the solve have a coarse level. The model must have aggregates.
+  void use_coarse_level() { uses_coarse_ = true; }
 
   std::uint32_t node_count() const { return static_cast<std::uint32_t>(model.layout.row_of_node.size()); }
   std::uint32_t row(std::uint32_t node) const { return model.layout.row_of_node[node]; }
@@ -137,8 +139,10 @@ class StagedScene {
  public:
   view::SceneView<Real> view = bound_.view;
   model::HostInputs<Real> inputs = bound_.inputs;
+  view::CoarseView<Real> coarse = model::bind_coarse<Real>(model, arena_);
 
  private:
+  bool uses_coarse_ = false;
   const std::vector<step::Stage> stages_;
   std::vector<view::ElementView<Real>> groups_;
 };

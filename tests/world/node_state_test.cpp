@@ -71,6 +71,7 @@ void expect_same_bits(const NodeState& a, const NodeState& b) {
   EXPECT_EQ(a.internal_dt_s, b.internal_dt_s);
   EXPECT_EQ(a.last_dt_s, b.last_dt_s);
   EXPECT_EQ(a.largest_force_squared, b.largest_force_squared);
+  EXPECT_EQ(a.coarse_solves, b.coarse_solves);
 }
 
 double largest(const std::vector<double>& values) {

@@ -22,7 +22,9 @@
 #include "backend/step_reports.h"
 #include "core/thread_name.h"
 #include "model/bind.h"
+#include "solver/coarse_level.h"
 #include "solver/newton.h"
+#include "solver/row_sums.h"
 #include "step/run.h"
 
 namespace tensormass::backend {
@@ -58,6 +60,7 @@ class CpuState final : public SceneState {
       : model_(model),
         stages_(step::list_stages(model)),
         bound_(model::bind<Real>(model, arena_)),
+        coarse_(model::bind_coarse<Real>(model, arena_)),
         barrier_(view_.patches.patch_count),
         load_factors_(model) {
     for (const step::Stage& stage : stages_) phases_ |= command(stage.info->phase);
@@ -95,8 +98,14 @@ class CpuState final : public SceneState {
       if (model_.extrapolates()) result.take_motion(this->result());
       if (input.gather_visible) gather_visible();
     } else {
-      run_team(kWholeStep | (input.gather_visible ? command(step::Phase::kFrame) : 0));
+      run_linearized(input);
       result = this->result();
+      if (input.saves_checkpoint && ends_unsolved(result)) {
+        restore();
+        *inputs_.control = checkpoint_.begin(model_, input);
+        run_linearized(input);
+        result = this->result();
+      }
     }
     throw_if_stopped();
     read_forces<Real>({view_.contact.tool_loads, std::size_t{view_.contact.tool_count} * view_.patches.patch_count},
@@ -175,9 +184,9 @@ class CpuState final : public SceneState {
     checkpoint_.start_anew(state.internal_dt_s);
   }
   StepHistory read_history() override {
-    return backend::read_history(view_, checkpoint_.past(), [](const Real* from, std::size_t count) {
-      return std::vector<double>(from, from + count);
-    });
+    return backend::read_history(
+        view_, checkpoint_.past(), checkpoint_.coarse().left(),
+        [](const Real* from, std::size_t count) { return std::vector<double>(from, from + count); });
   }
   void write_history(const StepHistory& history) override {
     backend::write_history(view_, history, [](Real* to, std::span<const double> from) {
@@ -188,8 +197,14 @@ class CpuState final : public SceneState {
 
   // solver::newton_step calls these.
   void begin() { run(step::Phase::kBegin); }
-  void evaluate() { run(step::Phase::kEvaluate); }
-  void solve() { run(step::Phase::kSolve); }
+  void evaluate() {
+    choose_level();
+    run(step::Phase::kEvaluate);
+  }
+  void solve() {
+    run(step::Phase::kSolve);
+    take_solve();
+  }
   void backtrack() { run(step::Phase::kBacktrack); }
   void end() { run(step::Phase::kEnd); }
   view::NewtonControl& control() { return *inputs_.newton; }
@@ -210,6 +225,20 @@ class CpuState final : public SceneState {
                                         command(step::Phase::kSolve) | command(step::Phase::kEnd);
 
   void run(step::Phase phase) { run_team(command(phase)); }
+  /// Runs a step that is linearized once.
+  void run_linearized(const StepInput& input) {
+    choose_level();
+    run_team(kWholeStep | (input.gather_visible ? command(step::Phase::kFrame) : 0));
+    take_solve();
+  }
+  void choose_level() { uses_coarse_ = coarse_.aggregate_count > 0 && checkpoint_.coarse().is_on(model_); }
+  void take_solve() { checkpoint_.coarse().take_solve(view_.solve.report->iterations, uses_coarse_); }
+  /// Returns whether a step must be made again because it ended above its tolerance, and now has a coarse level. So no
+  /// step is published unsolved only because the last one did not need the coarse level.
+  bool ends_unsolved(const StepResult& result) const {
+    return !uses_coarse_ && coarse_.aggregate_count > 0 && checkpoint_.coarse().is_on(model_) && result.finite &&
+           !result.negative_curvature && result.cg_relative_residual > model_.cg_tolerance;
+  }
   /// The calling thread is patch 0. A barrier starts the team and one ends each stage. Without a stage there would be
   /// none after the first, and the caller could write its next command before a worker has read this one.
   void run_team(Command what) {
@@ -248,6 +277,19 @@ class CpuState final : public SceneState {
         passes_[stage.group].tensors(team, view_, groups_[stage.group]);
       } else if (stage.info->kind == step::StageKind::kDiagnostics) {
         passes_[stage.group].diagnose(team, view_, groups_[stage.group]);
+      } else if (stage.info->kind == step::StageKind::kRowErrors) {
+        if (!uses_coarse_) continue;  // all patches alike
+        solver::measure_row_errors(team, view_.patches, view_.state, view_.matrix, coarse_);
+      } else if (stage.info->kind == step::StageKind::kCoarseLevel) {
+        if (!uses_coarse_) continue;
+        solver::sum_free_rows(team, view_.patches, view_.state, view_.matrix, coarse_);
+        solver::assemble_coarse(team, view_.patches, view_.state, view_.matrix, coarse_);
+        barrier_.arrive_and_wait();
+        solver::factorize_coarse(team, view_.patches, coarse_);
+      } else if (stage.info->kind == step::StageKind::kSolve && uses_coarse_) {
+        solver::measure_row_losses(team, view_.patches, view_.matrix, coarse_);
+        solver::CoarseLevel<cpu::Team, Real> coarse(team, view_.patches, coarse_);
+        solver::conjugate_gradients(team, view_.patches, view_.state, view_.matrix, view_.solve, view_.links, coarse);
       } else {
         step::with_stage(model_, stage, [&](auto type) {
           decltype(type)::run(team, view_, groups_.empty() ? view::ElementView<Real>{} : groups_[stage.group]);
@@ -261,6 +303,7 @@ class CpuState final : public SceneState {
   const std::vector<step::Stage> stages_;
   cpu::Arena arena_;
   const model::BoundScene<Real> bound_;
+  const view::CoarseView<Real> coarse_;
   const view::SceneView<Real>& view_ = bound_.view;
   const model::HostInputs<Real>& inputs_ = bound_.inputs;
   std::vector<view::ElementView<Real>> groups_;
@@ -268,7 +311,8 @@ class CpuState final : public SceneState {
   std::vector<cpu::ElementPasses<Real>> passes_;
   cpu::Barrier barrier_;
   Command command_ = 0;
-  Command phases_ = 0;  // that have stages
+  Command phases_ = 0;        // that have stages
+  bool uses_coarse_ = false;  // the next evaluation and solve have a coarse level; written between two commands
   Checkpoint<Real> checkpoint_;
   LoadFactors load_factors_;
   std::atomic<Gate> gate_{Gate::kClosed};

@@ -238,7 +238,7 @@ class CudaState final : public SceneState {
     finish_copies("write");
   }
   StepHistory read_history() override {
-    return backend::read_history(view_, checkpoint_.past(),
+    return backend::read_history(view_, checkpoint_.past(), checkpoint_.coarse().left(),
                                  [&](const Real* from, std::size_t count) { return download(from, count); });
   }
   void write_history(const StepHistory& history) override {

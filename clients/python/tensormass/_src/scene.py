@@ -327,6 +327,7 @@ class Scene:
         newton_tolerance: float | None = None,
         allow_unconverged: bool | None = None,
         cpu_threads: int | None = None,
+        coarse_level: bool | None = None,
     ) -> None:
         """Changes settings of the solver. None leaves a setting as it is; `Solver` in scene.proto has the defaults.
 
@@ -339,6 +340,8 @@ class Scene:
             newton_tolerance: residual at which Newton's method ends, relative to the forces at work.
             allow_unconverged: keep a quasi-static step that ends above it, instead of stopping the scene.
             cpu_threads: threads of the scene on the CPU backend.
+            coarse_level: whether linear solves know the rigid motion of pieces of the bodies, as stiff, slender ones need.
+                Without a value a scene has it once a solve takes more than 80 iterations. On the CPU backend only.
 
         Raises:
             InvalidArgumentError: a wrong argument; the message names it. The daemon checks the ranges.

@@ -1,0 +1,148 @@
+#include <cmath>
+#include <optional>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "backend/coarse_switch.h"
+#include "support/backends.h"
+#include "support/scenes.h"
+#include "world/world.h"
+
+/// When a scene's solves get a coarse level, and what it makes of a stiff, slender body.
+namespace tensormass::world {
+namespace {
+
+/// A ligament in steps of 10 ms: block-Jacobi needs hundreds of iterations for the tolerance, and has 100.
+constexpr tests::Beam kLigament{.cells_x = 20,
+                                .cells_y = 4,
+                                .cells_z = 4,
+                                .size_x_m = 0.04,
+                                .size_y_m = 0.005,
+                                .size_z_m = 0.004,
+                                .cg_max_iterations = 100,
+                                .cg_tolerance = 1e-3};
+
+v1::Scene scene_of(const tests::Beam& beam, std::optional<bool> coarse_level = {}) {
+  v1::Scene scene = tests::beam_scene(beam);
+  if (coarse_level) scene.mutable_solver()->set_coarse_level(*coarse_level);
+  return scene;
+}
+
+std::unique_ptr<World> start(const v1::Scene& scene, std::uint32_t threads = 1) {
+  static const std::unique_ptr<backend::Backend> cpu = backend::make_cpu_backend(1);
+  auto model = model::compile(scene, {threads, 1, matrix::Storage::kEdges});
+  if (!model) throw std::runtime_error(model.error().message);
+  auto world = World::create(std::make_unique<const model::Model>(std::move(*model)), *cpu);
+  if (!world) throw std::runtime_error(world.error().message);
+  return std::move(*world);
+}
+
+/// Returns the displacement by node after some steps.
+std::vector<double> after(World& world, int steps) {
+  for (int step = 0; step < steps; ++step) EXPECT_TRUE(world.step(false)) << step;
+  return world.save().tissue.displacement;
+}
+
+double relative_difference(const std::vector<double>& a, const std::vector<double>& b) {
+  double difference = 0, size = 0;
+  for (std::size_t i = 0; i < b.size(); ++i) {
+    difference += (a[i] - b[i]) * (a[i] - b[i]);
+    size += b[i] * b[i];
+  }
+  return std::sqrt(difference / size);
+}
+
+/// Reference: the same mesh and law, solved to 1e-10 in double precision without a coarse level.
+std::vector<double> converged(tests::Beam beam, int steps) {
+  beam.double_precision = true;
+  beam.cg_max_iterations = 5000;
+  beam.cg_tolerance = 1e-10;
+  return after(*start(scene_of(beam, false)), steps);
+}
+
+TEST(CoarseLevel, MakesALigamentRightByDefaultFromTheFirstStep) {
+  for (const int steps : {1, 10, 40}) {
+    const std::vector<double> expected = converged(kLigament, steps);
+    const auto world = start(scene_of(kLigament)), plain = start(scene_of(kLigament, false));
+    EXPECT_LT(relative_difference(after(*world, steps), expected), 0.01) << steps;
+    EXPECT_LT(world->last().cg_iterations, 40u);
+    EXPECT_LE(world->last().cg_relative_residual, kLigament.cg_tolerance);
+    if (steps > 1) continue;
+    EXPECT_GT(relative_difference(after(*plain, steps), expected), 0.5);
+    EXPECT_EQ(plain->last().cg_iterations, kLigament.cg_max_iterations);
+  }
+}
+
+TEST(CoarseLevel, LeavesTheBitsOfScenesWithShortSolves) {
+  tests::Beam beam = kLigament;
+  beam.young_modulus_pa = 1e3;
+  beam.dt_s = 1e-3;
+  const auto automatic = start(scene_of(beam), 2), off = start(scene_of(beam, false), 2);
+  EXPECT_EQ(after(*automatic, 30), after(*off, 30));
+  EXPECT_LT(off->last().cg_iterations, model::kCoarseFromIterations);
+  EXPECT_GT(off->last().cg_iterations, 2u);
+}
+
+TEST(CoarseLevel, RepeatsToTheBitAndGoesOnFromASavedState) {
+  for (const std::uint32_t threads : {1u, 2u}) {
+    const auto world = start(scene_of(kLigament), threads), again = start(scene_of(kLigament), threads),
+               later = start(scene_of(kLigament), threads);
+    EXPECT_EQ(after(*world, 5), after(*again, 5));
+    const World::Saved saved = world->save();
+    EXPECT_GT(saved.tissue.coarse_solves, 0u);
+    later->restore(saved);
+    EXPECT_EQ(after(*world, 10), after(*later, 10));
+  }
+}
+
+TEST(CoarseLevel, HelpsNewtonsMethodAndEquilibria) {
+  for (const bool quasi_static : {false, true}) {
+    std::uint32_t iterations[2];
+    std::vector<double> found[2];
+    for (const bool off : {false, true}) {
+      tests::Beam beam = kLigament;
+      beam.double_precision = true;
+      beam.cg_max_iterations = 5000;
+      beam.cg_tolerance = 1e-6;
+      v1::Scene scene = scene_of(beam, off ? std::optional(false) : std::nullopt);
+      scene.mutable_solver()->set_newton_max_iterations(30);
+      if (quasi_static) scene.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);
+      const auto world = start(scene);
+      found[off] = after(*world, 2);
+      iterations[off] = world->last().cg_iterations;
+    }
+    EXPECT_LT(relative_difference(found[0], found[1]), 1e-4);
+    EXPECT_LT(3 * iterations[0], iterations[1]);
+  }
+}
+
+TEST(CoarseSwitch, TurnsOnAfterALongSolveAndStaysOn) {
+  model::Settings settings;
+  backend::CoarseSwitch one;
+  EXPECT_FALSE(one.is_on(settings));
+  one.take_solve(model::kCoarseFromIterations, false);
+  EXPECT_FALSE(one.is_on(settings)) << "not more than the bound";
+  one.take_solve(model::kCoarseFromIterations + 1, false);
+  for (int solve = 0; solve < 1000; ++solve) {
+    EXPECT_TRUE(one.is_on(settings)) << solve;
+    one.take_solve(20, true);
+  }
+  int solves = 0;
+  for (; one.is_on(settings); ++solves) one.take_solve(3, true);
+  EXPECT_EQ(solves, 256);
+  EXPECT_EQ(backend::CoarseSwitch(0xFFFFFFFF).left(), 256u) << "a saved state may say anything";
+}
+
+TEST(CoarseSwitch, DoesWhatTheSceneSays) {
+  model::Settings settings;
+  backend::CoarseSwitch one;
+  settings.coarse_use = model::CoarseUse::kAlways;
+  EXPECT_TRUE(one.is_on(settings));
+  settings.coarse_use = model::CoarseUse::kNever;
+  one.take_solve(1000, false);
+  EXPECT_FALSE(one.is_on(settings));
+}
+
+}  // namespace
+}  // namespace tensormass::world
