@@ -43,6 +43,7 @@ def main() -> int:
             "guard",
             "recording",
             "scene",
+            "solver",
             "stream",
         ):  # without services, so the stubs have no content
             (OUTPUT / f"{name}_pb2_grpc.py").unlink(missing_ok=True)

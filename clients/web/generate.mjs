@@ -20,6 +20,7 @@ try {
       "tensormass/v1/event.proto",
       "tensormass/v1/finding.proto",
       "tensormass/v1/guard.proto",
+      "tensormass/v1/solver.proto",
       "tensormass/v1/scene.proto",
       "tensormass/v1/stream.proto",
       "tensormass/v1/gateway.proto",

@@ -49,7 +49,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "tensormass" / "__init__.py").touch()
     # An editable installation of the SDK would still find its modules.
     (folder / "tensormass" / "_src.py").write_text("raise ImportError('the SDK')", "utf-8")
-    protos = [f"tensormass/v1/{name}.proto" for name in ("edit", "finding", "guard", "scene", "stream")]
+    protos = [f"tensormass/v1/{name}.proto" for name in ("edit", "finding", "guard", "scene", "solver", "stream")]
     run("-m", "grpc_tools.protoc", "-I", ROOT / "proto", f"--python_out={folder}", *protos)
     return folder
 
