@@ -323,10 +323,25 @@ struct FrontPoint {
   std::uint32_t tetrahedron = view::kNoTetrahedron;
 };
 
+/// Returns the anchor of the point across on the other edge of scissors, if that holds tissue when the step ends.
+template <class Real>
+TM_HOST_DEVICE FrontPoint<Real> anchor_across(const view::StateView<Real>& state, const view::BladesView<Real>& blades,
+                                              std::uint32_t blade, std::uint32_t point) {
+  const std::uint32_t other = edge_of(blades, blade) == 0 ? blade + 1 : blade - 1;
+  const Real* memory = blades.memory_of(point - blades.first_points[blade] + blades.first_points[other]);
+  FrontPoint<Real> out;
+  out.tetrahedron = tetrahedron_in(memory, view::kBladeTetrahedron);
+  if (out.tetrahedron == view::kNoTetrahedron) return out;
+  out.position = mean_of(blades, out.tetrahedron, memory + view::kBladeWeights,
+                         [&](std::uint32_t row) -> Vec3<Real> { return position_at_end(state, row); });
+  return out;
+}
+
 /// Returns up to where a blade point has cut. A cut begins and ends beside the tissue, so that it divides the surface.
+/// Where edges pass each other, they cut what they have squeezed between them: up to the anchor on the other edge.
 template <class Real>
 TM_HOST_DEVICE FrontPoint<Real> front_of(const view::StateView<Real>& state, const view::BladesView<Real>& blades,
-                                         const BladePoint<Real>& at, std::uint32_t point) {
+                                         const BladePoint<Real>& at, std::uint32_t blade, std::uint32_t point) {
   using std::sqrt;
   const Real* memory = blades.memory_of(point);
   const bool left = has_event(memory, view::kBladeLeft);
@@ -339,6 +354,10 @@ TM_HOST_DEVICE FrontPoint<Real> front_of(const view::StateView<Real>& state, con
   }
   out.position = mean_of(blades, out.tetrahedron, memory + view::kBladeWeights,
                          [&](std::uint32_t row) -> Vec3<Real> { return position_at_end(state, row); });
+  if (left && at.is_past) {
+    const FrontPoint<Real> across = anchor_across(state, blades, blade, point);
+    if (across.tetrahedron != view::kNoTetrahedron) out = across;
+  }
   const Real beside = at.length_m + sqrt(at.motion.dot(at.motion));
   if (left) out.position += at.cuts * beside;
   if (has_event(memory, view::kBladeEntered)) out.position -= at.cuts * beside;
@@ -352,13 +371,13 @@ TM_HOST_DEVICE void report_front(const view::StateView<Real>& state, const view:
   const BladePoint<Real> at = blade_point(contact, blades, blade, point);
   view::BladeReport<Real>& report = blades.reports[point];
   report.tetrahedron = view::kNoTetrahedron;
-  FrontPoint<Real> front = front_of(state, blades, at, point);
+  FrontPoint<Real> front = front_of(state, blades, at, blade, point);
   const bool is_free = !(blades.memory_of(point)[view::kBladeTetrahedron] > 0);
   for (int side = -1; side <= 1 && is_free && front.tetrahedron == view::kNoTetrahedron; side += 2) {
     const std::uint32_t other = side < 0 ? point - 1 : point + 1;
     if (other < blades.first_points[blade] || other >= blades.first_points[blade + 1]) continue;
     const BladePoint<Real> beside = blade_point(contact, blades, blade, other);
-    front = front_of(state, blades, beside, other);
+    front = front_of(state, blades, beside, blade, other);
     front.position += at.position - beside.position;
   }
   if (front.tetrahedron == view::kNoTetrahedron) return;

@@ -73,7 +73,7 @@ Result<void> check_may_be_cut(const v1::Body& message, const ReadBody& body) {
   return {};
 }
 
-/// Returns how many edges a tool has, and how many points each of them; zero for a tool that is no blade.
+/// Returns how many edges a tool has, and how many points each of them; zero for a tool that is not a blade.
 struct Edges {
   std::uint32_t count = 0, points = 0;
 };

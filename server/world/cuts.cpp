@@ -25,6 +25,8 @@ namespace {
 /// A piece that loses no more than this share of its volume has not lost a piece: a second split of an element moves
 /// volume between its parts (docs/decisions/cutting.md).
 constexpr double kSamePiece = 1e-3;
+/// Smaller shares of a body are crumbs at the edge of a cut, and nobody is told.
+constexpr double kCrumb = 1e-5;
 
 using model::BodyCut;
 using model::SceneCuts;
@@ -371,14 +373,18 @@ std::vector<FreedPiece> freed_pieces(const SceneCuts& before, const SceneCuts& a
     if (now.size() <= old.size()) continue;
     // Rows of a piece that splits go to its parts, so its lowest row stays with one of them: perhaps the smaller one.
     std::vector<double> changed_m3;
+    double body_m3 = 0;
     for (const mesh::CutPiece& piece : now) {
+      body_m3 += piece.volume_m3;
       const auto same = std::find_if(old.begin(), old.end(), [&](const auto& one) { return one.row == piece.row; });
       const bool stays = same != old.end() && piece.volume_m3 > (1 - kSamePiece) * same->volume_m3;
       if (!stays) changed_m3.push_back(piece.volume_m3);
     }
     std::sort(changed_m3.begin(), changed_m3.end());
     changed_m3.resize(std::min(changed_m3.size(), now.size() - old.size()));
-    for (const double volume_m3 : changed_m3) out.push_back({static_cast<std::uint32_t>(b), volume_m3});
+    for (const double volume_m3 : changed_m3) {
+      if (volume_m3 > kCrumb * body_m3) out.push_back({static_cast<std::uint32_t>(b), volume_m3});
+    }
   }
   return out;
 }

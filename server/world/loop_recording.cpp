@@ -107,12 +107,13 @@ Result<void> Loop::do_swap(Swap& swap) {
   std::unique_ptr<World>& next = swap.world;
   const GenerationPointer before = generation();
   const double area_m2 = area_of(swap.generation->cuts), cut_m2 = area_m2 - area_of(before->cuts);
+  const bool cuts = swap.generation->cuts != before->cuts;
   const std::vector<FreedPiece> freed = freed_pieces(before->cuts, swap.generation->cuts);
   try {
     try {
       if (swap.takes_state) {
         World::Saved saved = World::by_node(*world_->shared_model(), world_->copy());
-        if (swap.generation->cuts != before->cuts) {
+        if (cuts) {
           TM_ASSIGN_OR_RETURN(tissue, cut_state(*world_->shared_model(), saved.tissue, next->model()));
           saved.tissue = std::move(tissue);
         }
@@ -137,10 +138,11 @@ Result<void> Loop::do_swap(Swap& swap) {
   go_on_with_new_values(std::move(swap.generation), std::move(swap.edit));
   status_.take_cut_area(area_m2);
   if (swap.surface != nullptr) outputs_.set_changes(surface_.number(std::move(swap.surface)));
-  const bool cuts = cut_m2 > 0;
-  outputs_.add_event({.kind = cuts ? EventKind::kCut : EventKind::kAdjusted,
-                      .step = world_->step_count(),
-                      .value = cuts ? cut_m2 : 0});
+  if (cut_m2 > 0) {
+    outputs_.add_event({.kind = EventKind::kCut, .step = world_->step_count(), .value = cut_m2});
+  } else if (!cuts) {  // edges may be cut before any element is
+    outputs_.add_event({.kind = EventKind::kAdjusted, .step = world_->step_count()});
+  }
   for (const FreedPiece& piece : freed) {
     outputs_.add_event(
         {.kind = EventKind::kPieceFree, .step = world_->step_count(), .body = piece.body, .value = piece.volume_m3});

@@ -39,8 +39,8 @@ const BURNT_STEP = 400;
 const DRAWN_BACK_M = -0.105;
 /** Step of `cut` in which its hand draws the edge through the organ. */
 const CUT_STEP = 300;
-/** The grasper of `resect` has carried the piece beyond this x [m]. */
-const CARRIED_M = 0.14;
+/** Step of `resect` in which its scissors have closed, and the grasper holds the piece. */
+const RESECTED_STEP = 450;
 const LONGEST_WAIT_S = 180;
 const POLLING_MS = 250;
 const QUALITY = process.env.QUALITY ?? "high";
@@ -213,11 +213,7 @@ async function takeResect() {
   await withScene("resect", async (url) => {
     const page = await open(url, WIDE);
     await hideReadings(page);
-    const carries = ([step, x]) => {
-      const state = window.tensormass.state();
-      return state.step >= step && state.tools.some((tool) => tool.name === "grasper" && tool.positionM[0] > x);
-    };
-    await page.waitForFunction(carries, [CUT_STEP, CARRIED_M], { polling: POLLING_MS });
+    await page.waitForFunction((step) => window.tensormass.state().step >= step, RESECTED_STEP, { polling: POLLING_MS });
     await save(page, "resect");
   });
 }
