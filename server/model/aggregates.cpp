@@ -58,10 +58,14 @@ void add(std::span<const std::uint32_t> nodes, const mesh::Mesh& mesh, const mat
   out.center_rows.push_back(layout.row_of_node[center]);
 }
 
+/// Least cg_tolerance of a scene that gets a coarse level by itself. Below it rounding decides how far a solve comes,
+/// and c, which follows by recurrence (solver/coarse_level.h), drifts away from the residual.
+constexpr double kLeastTolerance = 1e-6;
+
 /// Returns whether a solve of the scene may take so many iterations that it gets a coarse level.
 bool may_use(const Settings& settings) {
   if (settings.coarse_use != CoarseUse::kAutomatic) return settings.coarse_use == CoarseUse::kAlways;
-  return settings.cg_tolerance > 0 && settings.cg_max_iterations > kCoarseFromIterations;
+  return settings.cg_tolerance >= kLeastTolerance && settings.cg_max_iterations > kCoarseFromIterations;
 }
 
 }  // namespace
