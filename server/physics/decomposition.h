@@ -180,38 +180,20 @@ TM_HOST_DEVICE bool is_positive_definite(const Mat3<T>& symmetric) {
   return all_greater(trace, T(0)) && all_greater(T(xx + yy + zz), T(kMargin)) && all_greater(e3, T(kMargin));
 }
 
-namespace detail {
-
-/// Adds −2 λ v vᵀ to `sum` for each negative eigenvalue λ, with its eigenvector v, of a symmetric matrix.
-template <class T>
-TM_HOST_DEVICE void add_absolute_parts(const Mat3<T>& symmetric, Mat3<T>& sum) {
-  if (is_positive_definite(symmetric)) return;
-  Mat3<T> a = symmetric, v = Mat3<T>::Identity();
-  for (int sweep = 0; sweep < kSweeps; ++sweep) {
-    diagonalize_plane<0, 1>(a, v);
-    diagonalize_plane<0, 2>(a, v);
-    diagonalize_plane<1, 2>(a, v);
-  }
-  for (int i = 0; i < 3; ++i) sum += v.col(i) * (v.col(i) * maximum(T(-a(i, i) - a(i, i)), T(0))).transpose();
-}
-
-}  // namespace detail
-
 /// Returns the symmetric matrix with its eigenvalues replaced by their absolute values. The result equals the input
 /// bitwise if none is negative; rotations are left out where that is certain.
 template <class T>
 TM_HOST_DEVICE Mat3<T> with_absolute_eigenvalues(const Mat3<T>& symmetric) {
+  if (is_positive_definite(symmetric)) return symmetric;
+  Mat3<T> a = symmetric, v = Mat3<T>::Identity();
+  for (int sweep = 0; sweep < detail::kSweeps; ++sweep) {
+    detail::diagonalize_plane<0, 1>(a, v);
+    detail::diagonalize_plane<0, 2>(a, v);
+    detail::diagonalize_plane<1, 2>(a, v);
+  }
   Mat3<T> result = symmetric;
-  detail::add_absolute_parts(symmetric, result);
+  for (int i = 0; i < 3; ++i) result += v.col(i) * (v.col(i) * maximum(T(-a(i, i) - a(i, i)), T(0))).transpose();
   return result;
-}
-
-/// Returns what with_absolute_eigenvalues adds to the matrix: zero if no eigenvalue is negative.
-template <class T>
-TM_HOST_DEVICE Mat3<T> added_by_absolute_eigenvalues(const Mat3<T>& symmetric) {
-  Mat3<T> added = Mat3<T>::Zero();
-  detail::add_absolute_parts(symmetric, added);
-  return added;
 }
 
 }  // namespace tensormass::physics

@@ -84,28 +84,14 @@ inline Mat3<double> random_deformation(std::mt19937& random, double least, doubl
   return random_rotation(random) * stretches.asDiagonal() * random_rotation(random).transpose();
 }
 
-/// Returns the stiffness between two nodes with the gradients a and b, after a projection with the part that some laws
-/// leave to far_part.
-template <class Law, class T, class Point>
-Mat3<T> stiffness(const Point& point, const Vec3<T>& a, const Vec3<T>& b) {
-  Mat3<T> k = Law::stiffness(point, Law::at_node(point, a), Law::at_node(point, b));
-  if constexpr (kHasFarPart<Law>) {
-    if (Law::has_far_part(point)) {
-      using Part = typename Law::FarPart;
-      const auto part = Law::far_part(point);
-      k += Part::stiffness(part, Part::at_node(part, a), Part::at_node(part, b));
-    }
-  }
-  return k;
-}
-
 /// Returns ∂P/∂F, with column-major indices of P and F.
 template <class Law, class Point>
 Eigen::Matrix<double, 9, 9> tangent(const Point& point) {
   Eigen::Matrix<double, 9, 9> out;
   for (int a = 0; a < 3; ++a) {
     for (int b = 0; b < 3; ++b) {
-      out.block<3, 3>(3 * a, 3 * b) = stiffness<Law, double>(point, Vec3<double>::Unit(a), Vec3<double>::Unit(b));
+      out.block<3, 3>(3 * a, 3 * b) = Law::stiffness(point, Law::at_node(point, Vec3<double>(Vec3<double>::Unit(a))),
+                                                     Law::at_node(point, Vec3<double>(Vec3<double>::Unit(b))));
     }
   }
   return out;

@@ -8,7 +8,6 @@
 #include "core/scalar.h"
 #include "physics/element/prony.h"
 #include "physics/element/rest.h"
-#include "physics/material/law.h"
 
 /// From displacements to forces and stiffness, for any law in any shape.
 ///
@@ -146,18 +145,6 @@ TM_HOST_DEVICE void add_point(const PointGradients<Shape, T>& gradients, const M
       out.add_edge(pair_index(Shape::kNodes, k, l), edge, first);
     }
   }
-  if constexpr (kHasFarPart<Law>) {
-    if (kind != Stiffness::kProjected || !Law::has_far_part(point)) return;
-    using Part = typename Law::FarPart;
-    const auto part = Law::far_part(point);
-    for (int k = 0; k < Shape::kNodes; ++k) {
-      const auto node = Part::at_node(part, Vec3<T>(gradients.a[k] * instant));
-      for (int l = k + 1; l < Shape::kNodes; ++l) {
-        out.add_edge(pair_index(Shape::kNodes, k, l), Part::stiffness(part, node, Part::at_node(part, gradients.a[l])),
-                     false);
-      }
-    }
-  }
 }
 
 /// Number of the other nodes of an element, seen from one of its nodes, k. They are listed as nodes 1, 2, ..., with
@@ -237,8 +224,7 @@ TM_HOST_DEVICE void add_point_to_node(const NodeGradients<Shape, T>& gradients, 
                                       NodeTensors<Shape, T>& out) {
   // Forces and stiffness are linear in the node's own gradient, so the weight is multiplied into it once.
   const Vec3<T> own = gradients.own * gradients.weight;
-  const Vec3<T> instant_own = viscous != nullptr ? Vec3<T>(own * viscous->instant) : own;
-  const auto own_node = Law::at_node(point, instant_own);
+  const auto own_node = Law::at_node(point, viscous != nullptr ? Vec3<T>(own * viscous->instant) : own);
   Vec3<T> force = -Law::traction(point, own_node);
   Vec3<T> remembered;
   if (viscous != nullptr) {
@@ -253,16 +239,6 @@ TM_HOST_DEVICE void add_point_to_node(const NodeGradients<Shape, T>& gradients, 
       block = Law::stiffness(point, own_node, Law::at_node(point, gradients.others[m]));
       if (viscous != nullptr) block += Mat3<T>::Identity() * remembered.dot(gradients.others[m]);
     }
-    if constexpr (kHasFarPart<Law>) {
-      if (kind != Stiffness::kProjected || !Law::has_far_part(point)) return;
-      using Part = typename Law::FarPart;
-      const auto part = Law::far_part(point);
-      const auto own_of_part = Part::at_node(part, instant_own);
-      TM_UNROLL_ALL
-      for (int m = 0; m < kOthers<Shape>; ++m) {
-        out.stiffness[m] += Part::stiffness(part, own_of_part, Part::at_node(part, gradients.others[m]));
-      }
-    }
   } else {
     // With many other nodes it is cheaper to compute the stiffness against the three axes once. Each block is then
     // their sum, weighted with the components of the other node's gradient.
@@ -272,15 +248,6 @@ TM_HOST_DEVICE void add_point_to_node(const NodeGradients<Shape, T>& gradients, 
     for (int c = 0; c < 3; ++c) {
       axes[c] = Law::stiffness(point, own_node, Law::at_axis(point, c));
       if (viscous != nullptr) axes[c] += Mat3<T>::Identity() * remembered[c];
-    }
-    if constexpr (kHasFarPart<Law>) {
-      if (kind == Stiffness::kProjected && Law::has_far_part(point)) {
-        using Part = typename Law::FarPart;
-        const auto part = Law::far_part(point);
-        const auto own_of_part = Part::at_node(part, instant_own);
-        TM_UNROLL_ALL
-        for (int c = 0; c < 3; ++c) axes[c] += Part::stiffness(part, own_of_part, Part::at_axis(part, c));
-      }
     }
     TM_UNROLL_ALL
     for (int m = 0; m < kOthers<Shape>; ++m) {

@@ -58,11 +58,6 @@
 ///                          inertia would hold a collapsed element, and a step could throw its nodes far. Energy,
 ///                          stress and the other parts are unchanged. Forces stay exact, so only the path to the
 ///                          equilibrium changes, not the equilibrium
-///   has_far_part(point)    optional, with far_part (kHasFarPart): returns whether project_to_psd left a part of the
-///                          projection to be added. Some laws have a cheap projection that holds near rest only
-///   far_part(point)        returns that part. Its stiffness must be added; the law's FarPart has the functions
-///   at_node,
-///                          at_axis and stiffness for it. Expensive, so ask has_far_part before
 ///
 /// A law that is undefined for some F (a logarithm of J ≤ 0) returns NaN there. The step's guard then reports it.
 namespace tensormass::physics {
@@ -92,12 +87,6 @@ concept Law = requires(const Mat3<double>& f, const Vec3<double>& a, double* p,
 template <class L>
 inline constexpr bool kDecomposes = requires(const SignedSingularValues<double>& f, const double* p) {
   L::template at<double>(f, p);
-};
-
-/// True if a law's projection has a part to be added (far_part).
-template <class L>
-inline constexpr bool kHasFarPart = requires(const typename L::template Point<double>& point) {
-  L::far_part(point);
 };
 
 }  // namespace tensormass::physics

@@ -1,8 +1,8 @@
 #pragma once
 
-#include "physics/material/invariant_law.h"
 #include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
+#include "physics/material/stretch_law.h"
 
 namespace tensormass::physics {
 
@@ -11,21 +11,21 @@ namespace tensormass::physics {
 /// Resistance grows without bound towards collapse. The term λ (ln J)² softens in strong expansion, beyond J = e.
 ///
 /// Defined for J > 0. At J ≤ 0 the logarithm is NaN, which stops the scene.
-struct NeoHookean : InvariantLaw<NeoHookean>, LameParameters {
+struct NeoHookean : StretchLaw<NeoHookean>, LameParameters {
   static constexpr const char* kName = "neo_hookean";
   static constexpr Inversion kInversion = Inversion::kCaught;
 
   template <class T>
-  TM_HOST_DEVICE static InvariantSlopes<T> in_invariants(const T& /*i1*/, const T& j, const T* parameters) {
-    const T lambda = parameters[0], mu = parameters[1], log_j = logarithm(j), inverse_j = T(1) / j;
-    return {T(0.5) * mu, (lambda * log_j - mu) * inverse_j, T(0),
-            (lambda - lambda * log_j + mu) * inverse_j * inverse_j};
-  }
-
-  template <class T>
-  TM_HOST_DEVICE static T energy_of(const T& i1, const T& j, const T* parameters) {
-    const T lambda = parameters[0], mu = parameters[1], log_j = logarithm(j);
-    return T(0.5) * (mu * (i1 - T(3)) + lambda * log_j * log_j) - mu * log_j;
+  TM_HOST_DEVICE static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters) {
+    const T lambda = parameters[0], mu = parameters[1];
+    const Invariants<T> invariants(sigma);
+    const T log_j = logarithm(invariants.j), inverse_j = T(1) / invariants.j;
+    InvariantEnergy<T> w;
+    w.energy = T(0.5) * (mu * (invariants.i1 - T(3)) + lambda * log_j * log_j) - mu * log_j;
+    w.gradient = Vec3<T>(T(0.5) * mu, T(0), (lambda * log_j - mu) * inverse_j);
+    w.hessian = Mat3<T>::Zero();
+    w.hessian(2, 2) = (lambda - lambda * log_j + mu) * inverse_j * inverse_j;
+    return from_invariants(w, sigma, invariants);
   }
 };
 

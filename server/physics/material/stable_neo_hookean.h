@@ -1,8 +1,8 @@
 #pragma once
 
-#include "physics/material/invariant_law.h"
 #include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
+#include "physics/material/stretch_law.h"
 
 namespace tensormass::physics {
 
@@ -14,29 +14,25 @@ namespace tensormass::physics {
 ///
 /// Smooth in F everywhere. Finite in collapse and inversion, and recovers from both. λ' is positive for any ν in (−1,
 /// 0.5).
-struct StableNeoHookean : InvariantLaw<StableNeoHookean>, LameParameters {
+struct StableNeoHookean : StretchLaw<StableNeoHookean>, LameParameters {
   static constexpr const char* kName = "stable_neo_hookean";
   static constexpr Inversion kInversion = Inversion::kRecovers;
 
   template <class T>
-  TM_HOST_DEVICE static InvariantSlopes<T> in_invariants(const T& i1, const T& j, const T* parameters) {
-    const T mu = parameters[1], lambda = lambda_of(parameters), inverse = T(1) / (i1 + T(1));
+  TM_HOST_DEVICE static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters) {
+    const T mu = parameters[1], lambda = parameters[0] + mu * T(5.0 / 6);
+    const Invariants<T> invariants(sigma);
+    const T stretch = invariants.i1 - T(3), dilatation = invariants.j - T(1);
+    const T inverse = T(1) / (invariants.i1 + T(1));
+    InvariantEnergy<T> w;
+    w.energy = T(2.0 / 3) * mu * (stretch - logarithm(T((invariants.i1 + T(1)) * T(0.25)))) +
+               (T(0.5) * lambda * dilatation - mu) * dilatation;
     // 2/3 (1 − 1/(I1 + 1)), written so that it is exactly one half at rest.
-    return {mu * (T(0.5) + (i1 - T(3)) * inverse * T(1.0 / 6)), lambda * (j - T(1)) - mu,
-            T(2.0 / 3) * mu * inverse * inverse, lambda};
-  }
-
-  template <class T>
-  TM_HOST_DEVICE static T energy_of(const T& i1, const T& j, const T* parameters) {
-    const T mu = parameters[1], dilatation = j - T(1);
-    return T(2.0 / 3) * mu * (i1 - T(3) - logarithm(T((i1 + T(1)) * T(0.25)))) +
-           (T(0.5) * lambda_of(parameters) * dilatation - mu) * dilatation;
-  }
-
- private:
-  template <class T>
-  TM_HOST_DEVICE static T lambda_of(const T* parameters) {
-    return parameters[0] + parameters[1] * T(5.0 / 6);
+    w.gradient = Vec3<T>(mu * (T(0.5) + stretch * inverse * T(1.0 / 6)), T(0), lambda * dilatation - mu);
+    w.hessian = Mat3<T>::Zero();
+    w.hessian(0, 0) = T(2.0 / 3) * mu * inverse * inverse;
+    w.hessian(2, 2) = lambda;
+    return from_invariants(w, sigma, invariants);
   }
 };
 
