@@ -266,6 +266,7 @@ TEST(Aggregates, ExistOnlyIfASolveMayUseThem) {
     return tests::compile_into(scene_of(beam, level), 1, matrix::Storage::kEdges).aggregates.count();
   };
   tests::Beam beam = kSlender;
+  beam.cg_tolerance = 1e-6;
   EXPECT_GT(count(beam, std::nullopt), 0u);
   EXPECT_EQ(count(beam, false), 0u);
   beam.cg_max_iterations = model::kCoarseFromIterations;
@@ -274,6 +275,9 @@ TEST(Aggregates, ExistOnlyIfASolveMayUseThem) {
   beam = kSlender;
   beam.cg_tolerance = 0;
   EXPECT_EQ(count(beam, std::nullopt), 0u) << "the scene asks for a number of iterations";
+  beam.cg_tolerance = 1e-9;
+  EXPECT_EQ(count(beam, std::nullopt), 0u) << "rounding decides how far a solve comes";
+  EXPECT_GT(count(beam, true), 0u);
 }
 
 }  // namespace
