@@ -11,8 +11,8 @@ namespace tensormass::limits {
 inline constexpr int kMaxPosesPerSecond = 20'000;
 /// Bytes a second [B/s] of the same, with their keys. A pose with the longest key has about 400.
 inline constexpr std::size_t kMaxPoseBytesPerSecond = 8 << 20;
-/// Time [s] that a client may be ahead of these rates, dropped poses included. One that is further ahead floods, and its
-/// connection is closed. A hand sends 5 s of 1 kHz for 16 tools within 4 s after a pause, and stays.
+/// Time [s] that a client may be ahead of these rates, dropped poses included. One that is further ahead floods, and
+/// its connection is closed. A hand sends 5 s of 1 kHz for 16 tools within 4 s after a pause, and stays.
 inline constexpr double kMaxPoseLeadS = 5;
 /// Bytes of a client's message over zenoh; a larger one is dropped before it is held. zenoh sends what is smaller in
 /// one piece, so a lower limit would bound nothing more.

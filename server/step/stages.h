@@ -168,7 +168,8 @@ constexpr bool costs_an_iteration(const StageInfo& info) {
 }
 /// Returns whether a stage is part of every step; the others run now and then.
 constexpr bool runs_every_step(const StageInfo& info) {
-  return info.kind != StageKind::kRowErrors && info.kind != StageKind::kCoarseLevel && info.phase != Phase::kBacktrack && info.phase != Phase::kDiagnostics && info.phase != Phase::kFrame;
+  return info.kind != StageKind::kRowErrors && info.kind != StageKind::kCoarseLevel &&
+         info.phase != Phase::kBacktrack && info.phase != Phase::kDiagnostics && info.phase != Phase::kFrame;
 }
 
 // clang-format off

@@ -1,4 +1,4 @@
-"""A daemon with keys for the attacks, and a client of each role. Import it only if the package cryptography is there."""
+"""A daemon with keys for the attacks, and a client of each role. Needs the package cryptography."""
 
 from __future__ import annotations
 

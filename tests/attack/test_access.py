@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import grpc
 import pytest
@@ -30,10 +29,10 @@ from attack_parts import DEADLINE_S, IN_AIR_M, wait_for
 from keyed_parts import OWN, SCENES, Guarded, guarded
 
 import tensormass as tm
-from tensormass._shared.client_keys import ClientKeys, channel_options, date_of, write_secret
+from tensormass._shared.client_keys import ClientKeys, date_of, write_secret
 from tensormass._src.poses import PoseSequence
 from tensormass._src.streams import Transport
-from tensormass.v1 import control_pb2, control_pb2_grpc
+from tensormass.v1 import control_pb2
 from tensormass_tools.keys.folder import ROLES, KeyFolder
 
 RULES = (Path(__file__).parents[2] / "server/access/rules.h").read_text()

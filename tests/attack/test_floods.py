@@ -124,7 +124,9 @@ class TestWithKeys:
 
     @pytest.mark.attack("a client with a key floods calls", "the relay served nobody else")
     @pytest.mark.skipif(not ALL, reason="takes half a minute of CPU time; `make attack` runs it")
-    def test_a_key_that_floods_calls_is_cut(self, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
+    def test_a_key_that_floods_calls_is_cut(
+        self, tmp_path: Path, record_property: Callable[[str, object], None]
+    ) -> None:
         from keyed_parts import guarded
 
         with guarded(tmp_path) as daemon, contextlib.ExitStack() as parts:
@@ -138,10 +140,10 @@ class TestWithKeys:
                             stub.GetTopology(request, timeout=DEADLINE_S)
 
             threads = [threading.Thread(target=flood) for _ in range(8)]
-            parts.callback(lambda: [thread.join() for thread in threads])
-            parts.callback(stop.set)
             for thread in threads:
                 thread.start()
+                parts.callback(thread.join)
+            parts.callback(stop.set)
             operator = parts.enter_context(daemon.stub(daemon.keys["operator"]))
             slowest = 0.0
             deadline = time.monotonic() + 6 * DEADLINE_S

@@ -119,8 +119,15 @@ def test_each_scripted_hand_moves_a_tool_of_its_scene() -> None:
 def test_a_hand_is_told_that_another_client_holds_its_tool(server: tm.Server) -> None:
     mesh = tm.grid([4, 4, 4], [0.03, 0.03, 0.03])
     block = tm.Scene("block")
-    law = {"law": "stable_neo_hookean", "young_modulus_pa": 5e3, "poisson_ratio": 0.4, "density_kg_per_m3": 1000}
-    block.add_body("block", mesh, **law, fixed_nodes=mesh.nodes[:, 2] < 1e-9)
+    block.add_body(
+        "block",
+        mesh,
+        law="stable_neo_hookean",
+        young_modulus_pa=5e3,
+        poisson_ratio=0.4,
+        density_kg_per_m3=1000,
+        fixed_nodes=mesh.nodes[:, 2] < 1e-9,
+    )
     above_m = (0.015, 0.015, 0.2)
     block.add_tool("probe", "spherical_probe", position_m=above_m, radius_m=0.01)
     with (

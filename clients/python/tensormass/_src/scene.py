@@ -340,7 +340,7 @@ class Scene:
             newton_tolerance: residual at which Newton's method ends, relative to the forces at work.
             allow_unconverged: keep a quasi-static step that ends above it, instead of stopping the scene.
             cpu_threads: threads of the scene on the CPU backend.
-            coarse_level: whether linear solves know the rigid motion of pieces of the bodies, as stiff, slender ones need.
+            coarse_level: whether linear solves know the rigid motion of pieces of bodies, as stiff, slender ones need.
                 Without a value a scene has it once a solve takes more than 80 iterations. On the CPU backend only.
 
         Raises:
