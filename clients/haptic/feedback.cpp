@@ -76,6 +76,7 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
   feedback.pose_sequence = message.pose_sequence();
   feedback.client_id = message.client_id();
   feedback.claimed = message.claimed();
+  feedback.removed = message.removed();
   feedback.client_time_ns = static_cast<std::int64_t>(message.client_time_ns());
   feedback.arrival_ns = arrival_ns;
   // A tool that has a mass or gives way lags behind the hand, and the model belongs to the hand's place.

@@ -58,6 +58,8 @@ struct Feedback {
   double jaw_torque_n_m = 0.0;
   /// The step could not be made as planned, so the force may have jumped.
   bool recovering = false;
+  /// The scene has the tool no more. This feedback has no force.
+  bool removed = false;
   /// Parts of the time that the server took [ns]: the pose's wait for the step, the step, and until the message was
   /// written.
   std::int64_t waited_ns = 0;

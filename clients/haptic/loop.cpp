@@ -157,6 +157,7 @@ Result<void> Loop::tick_without(const DevicePose& invalid) {
 void Loop::receive() {
   const std::optional<Feedback> feedback = link_.receive();
   if (!feedback) return;
+  if (options_.removed != nullptr) options_.removed->store(feedback->removed, std::memory_order_relaxed);
   const std::uint64_t last_echoed = latency_.last_echoed();
   // Only an answer to this client's own pose may push its hand: another client's model has another anchor.
   const bool own = feedback->client_id == options_.client_id && feedback->client_time_ns <= feedback->arrival_ns &&

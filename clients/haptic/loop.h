@@ -74,6 +74,8 @@ struct LoopOptions {
   std::atomic<std::uint64_t>* recoveries = nullptr;
   /// Gets the id of another client that claims the tool, in the same way.
   std::atomic<std::uint64_t>* claimed_by = nullptr;
+  /// Says whether the scene has the tool no more, in the same way. The loop goes on: the tool may be added again.
+  std::atomic<bool>* removed = nullptr;
 };
 
 struct LoopReport {

@@ -117,6 +117,10 @@ class Notices {
             if (std::exchange(told_, client) != client) {
               std::cerr << "tensormass-haptic: " << claimed_line(client) << std::endl;
             }
+            const bool removed = removed_.load(std::memory_order_relaxed);
+            if (std::exchange(told_removed_, removed) != removed) {
+              std::cerr << "tensormass-haptic: " << removed_line(removed) << std::endl;
+            }
             const std::uint64_t count = count_.exchange(0);
             if (count == 0) continue;
             std::cerr << "tensormass-haptic: " << recovery_line(count) << std::endl;
@@ -127,13 +131,17 @@ class Notices {
   std::atomic<std::uint64_t>& count() { return count_; }
   /// For LoopOptions::claimed_by.
   std::atomic<std::uint64_t>& claimed_by() { return claimed_by_; }
+  /// For LoopOptions::removed.
+  std::atomic<bool>& removed() { return removed_; }
 
  private:
   static constexpr std::chrono::milliseconds kPoll{50};
 
   std::atomic<std::uint64_t> count_ = 0;
   std::atomic<std::uint64_t> claimed_by_ = 0;
-  std::uint64_t told_ = 0;  // its thread's own
+  std::atomic<bool> removed_ = false;
+  std::uint64_t told_ = 0;  // its thread's own, and so is the next
+  bool told_removed_ = false;
   std::jthread thread_;
 };
 
@@ -397,6 +405,7 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   Notices notices;
   options.loop.recoveries = &notices.count();
   options.loop.claimed_by = &notices.claimed_by();
+  options.loop.removed = &notices.removed();
   // Before the link starts its threads, which inherit the priority. Feedback that waits for a core is as good as lost.
   if (const auto realtime = request_realtime(kLinkPriority); !realtime) {
     std::cerr << "tensormass-haptic: " << realtime.error().message << '\n';

@@ -154,6 +154,11 @@ std::string claimed_line(std::uint64_t client_id) {
       client_id);
 }
 
+std::string removed_line(bool removed) {
+  return removed ? "the tool was removed from the scene; there is no force until a tool of its name is added"
+                 : "the scene has a tool of this name again";
+}
+
 std::string why_unanswered(const v1::SceneStatus& status, std::uint64_t poses_rejected_before) {
   for (const v1::ToolFeedback& tool : status.tools()) {
     if (tool.claimed() && status.poses_rejected() > poses_rejected_before) {

@@ -32,6 +32,8 @@ std::string recovery_line(std::uint64_t count);
 
 /// The line for a tool that another client claims.
 std::string claimed_line(std::uint64_t client_id);
+/// Says that the scene has the tool no more, or has it again.
+std::string removed_line(bool removed);
 
 /// Explains to people why no pose of a run was answered, from the scene's `status` after the run.
 /// `poses_rejected_before` is status.poses_rejected() before the run.

@@ -212,7 +212,7 @@ grpc::Status ControlService::ResetScene(grpc::ServerContext* context, const v1::
 grpc::Status ControlService::GetTopology(grpc::ServerContext* context, const v1::GetTopologyRequest* request,
                                          v1::GetTopologyResponse* response) {
   if (const grpc::Status allowed = permit(context, "GetTopology", request->scene()); !allowed.ok()) return allowed;
-  return answer(registry_.find(request->scene()).map([](const RunnerPtr& runner) { return runner->topology(); }),
+  return answer(registry_.find(request->scene()).map([](const RunnerPtr& runner) { return *runner->topology(); }),
                 response->mutable_topology());
 }
 
@@ -370,9 +370,9 @@ grpc::Status ControlService::RestoreScene(grpc::ServerContext* context, const v1
 grpc::Status ControlService::EditScene(grpc::ServerContext* context, const v1::EditSceneRequest* request,
                                        v1::EditSceneResponse* response) {
   if (const grpc::Status allowed = permit(context, "EditScene", request->scene()); !allowed.ok()) return allowed;
-  const CallShare::Place place(request->edit().cuts().empty() ? reset_calls_ : long_calls_);
+  const CallShare::Place place(SceneRegistry::compiles(request->edit()) ? long_calls_ : reset_calls_);
   if (!place) return place.refusal();
-  return answer(registry_.edit(request->scene(), request->edit()), response->mutable_status());
+  return answer(registry_.edit(request->scene(), request->edit()), response);
 }
 
 grpc::Status ControlService::AdjustScene(grpc::ServerContext* context, const v1::AdjustSceneRequest* request,

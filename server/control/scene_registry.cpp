@@ -95,10 +95,19 @@ Result<v1::AdjustSceneResponse> SceneRegistry::adjust(std::string_view name, con
   return admitted(runner, [&] { return runner->adjust(changes); });
 }
 
-Result<v1::SceneStatus> SceneRegistry::edit(std::string_view name, const v1::SceneEdit& edit) {
+bool SceneRegistry::compiles(const v1::SceneEdit& edit) {
+  return !edit.cuts().empty() || !edit.add_tools().empty() || !edit.remove_tools().empty();
+}
+
+Result<v1::EditSceneResponse> SceneRegistry::edit(std::string_view name, const v1::SceneEdit& edit) {
   TM_ASSIGN_OR_RETURN(runner, find(name));
-  const auto change = [&] { return runner->edit(edit); };
-  return edit.cuts().empty() ? change() : admitted(runner, change);
+  std::vector<v1::Finding> findings;
+  const auto change = [&] { return runner->edit(edit, &findings); };
+  TM_ASSIGN_OR_RETURN(status, compiles(edit) ? admitted(runner, change) : change());
+  v1::EditSceneResponse out;
+  *out.mutable_status() = std::move(status);
+  out.mutable_findings()->Assign(findings.begin(), findings.end());
+  return out;
 }
 
 Result<v1::ReplaySceneResponse> SceneRegistry::replay(const v1::ReplaySceneRequest& request) {

@@ -84,7 +84,9 @@ class SceneRegistry {
   Result<v1::AdjustSceneResponse> adjust(std::string_view name, const v1::SceneAdjustments& changes);
   /// Edits a scene between two steps. A cut compiles it again, as an adjustment does. Fails with kNotFound,
   /// kResourceExhausted, and the errors of world::Runner::edit.
-  Result<v1::SceneStatus> edit(std::string_view name, const v1::SceneEdit& edit);
+  Result<v1::EditSceneResponse> edit(std::string_view name, const v1::SceneEdit& edit);
+  /// Returns whether an edit compiles the scene again.
+  static bool compiles(const v1::SceneEdit& edit);
   /// Makes recorded steps again; a recording with adjustments is admitted as they are. Fails with kNotFound,
   /// kResourceExhausted, and the errors of world::Runner::replay.
   Result<v1::ReplaySceneResponse> replay(const v1::ReplaySceneRequest& request);

@@ -4,6 +4,8 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <memory>
 #include <new>
 #include <set>
 #include <utility>
@@ -87,12 +89,13 @@ void Publisher::run() {
 }
 
 void Publisher::publish_news() {
-  for (auto& [name, scene] : scenes_) publish_feedback(scene);
+  for (auto& [name, scene] : scenes_) publish_feedback(name, scene);
   for (auto& [name, scene] : scenes_) {
     const control::RunnerPtr runner = scene.runner.lock();
     if (runner == nullptr) continue;
-    publish_changes(scene, *runner);
     const bool has_frame = runner->take_frame(frame_);
+    follow_tools(name, scene, *runner);
+    publish_changes(scene, *runner);
     if (has_frame) bus_.publish(scene.frame_key, frame_);
     if (runner->take_status(status_)) {
       bus_.publish(scene.status_key, status_, {.retain = true});
@@ -101,7 +104,7 @@ void Publisher::publish_news() {
     }
     if (!has_frame) continue;
     // Sending a large frame takes long; forces that arrived meanwhile go before the next frame.
-    for (auto& [other_name, other] : scenes_) publish_feedback(other);
+    for (auto& [other_name, other] : scenes_) publish_feedback(other_name, other);
   }
 }
 
@@ -163,31 +166,46 @@ void Publisher::start_scene(const control::RunnerPtr& runner) {
   scene.topology_key = bus::topology_key(server_, name);
   scene.changes_key = bus::changes_key(server_, name);
   scene.events_key = bus::events_key(server_, name);
-  for (const v1::ToolShape& tool : runner->topology().tools()) {
-    scene.feedback_keys.push_back(bus::feedback_key(server_, name, tool.name()));
-  }
-  bus_.publish(scene.topology_key, runner->topology(), {.retain = true});
+  follow_tools(name, scene, *runner);
   // Everybody who subscribes gets a message, so nobody waits for what has not happened yet.
-  changes_.Clear();
-  changes_.set_topology_version(runner->topology().version());
-  bus_.publish(scene.changes_key, changes_, {.retain = true});
   events_.Clear();
-  events_.set_topology_version(runner->topology().version());
+  events_.set_topology_version(scene.topology_version);
   bus_.publish(scene.events_key, events_, {.retain = true});
   scenes_.emplace(name, std::move(scene));
   log::info("scene loaded", {{"scene", name}, {"bytes", runner->report().bytes_total()}});
   for (const v1::Finding& finding : runner->report().findings()) log_finding(name, finding, 0);
 }
 
-void Publisher::end_scene(Scene& scene) {
-  for (std::size_t i = 0; i < scene.feedback.size(); ++i) {
-    v1::ToolFeedback& feedback = scene.feedback[i];
-    *feedback.mutable_force_n() = v1::Vector3();
-    *feedback.mutable_torque_n_m() = v1::Vector3();
-    // Zero stiffness as well as zero force: a client that evaluates the local model gets zero force at any pose.
-    for (double& stiffness : *feedback.mutable_local_model()->mutable_stiffness_n_per_m()) stiffness = 0;
-    bus_.publish(scene.feedback_keys[i], feedback, {.urgent = true});
+void Publisher::follow_tools(const std::string& name, Scene& scene, const world::Runner& runner) {
+  const std::shared_ptr<const v1::Topology> topology = runner.topology();
+  if (std::exchange(scene.topology_version, topology->version()) == topology->version()) return;
+  std::map<std::string, std::string> keys;
+  for (const v1::ToolShape& tool : topology->tools()) {
+    keys.emplace(tool.name(), bus::feedback_key(server_, name, tool.name()));
   }
+  for (v1::ToolFeedback& feedback : scene.feedback) {
+    if (!keys.contains(feedback.tool())) release(scene.feedback_keys.at(feedback.tool()), feedback, true);
+  }
+  scene.feedback.clear();
+  scene.feedback_keys = std::move(keys);
+  bus_.publish(scene.topology_key, *topology, {.retain = true});
+  // A reader of the topology must not wait for changes of it that have not come yet.
+  changes_.Clear();
+  if (!runner.changes(changes_)) changes_.set_topology_version(topology->version());
+  bus_.publish(scene.changes_key, changes_, {.retain = true});
+}
+
+void Publisher::release(const std::string& key, v1::ToolFeedback& feedback, bool removed) {
+  *feedback.mutable_force_n() = v1::Vector3();
+  *feedback.mutable_torque_n_m() = v1::Vector3();
+  // Zero stiffness as well as zero force: a client that evaluates the local model gets zero force at any pose.
+  for (double& stiffness : *feedback.mutable_local_model()->mutable_stiffness_n_per_m()) stiffness = 0;
+  feedback.set_removed(removed);
+  bus_.publish(key, feedback, {.urgent = true});
+}
+
+void Publisher::end_scene(Scene& scene) {
+  for (v1::ToolFeedback& feedback : scene.feedback) release(scene.feedback_keys.at(feedback.tool()), feedback, false);
   bus_.forget(scene.topology_key);
   bus_.forget(scene.status_key);
   bus_.forget(scene.changes_key);
@@ -206,11 +224,18 @@ void Publisher::publish_changes(Scene& scene, world::Runner& runner) {
   }
 }
 
-void Publisher::publish_feedback(Scene& scene) {
+void Publisher::publish_feedback(const std::string& name, Scene& scene) {
   const control::RunnerPtr runner = scene.runner.lock();
-  if (runner == nullptr || !runner->take_feedback(scene.feedback)) return;
-  for (std::size_t i = 0; i < scene.feedback.size(); ++i) {
-    bus_.publish(scene.feedback_keys[i], scene.feedback[i], {.urgent = true});
+  if (runner == nullptr) return;
+  const bool has_news = runner->take_feedback(feedback_);
+  follow_tools(name, scene, *runner);
+  if (!has_news) return;
+  // Tools may have changed once more meanwhile. Feedback of those that are gone must not follow its end.
+  const auto is_gone = [&](const v1::ToolFeedback& one) { return !scene.feedback_keys.contains(one.tool()); };
+  if (std::any_of(feedback_.begin(), feedback_.end(), is_gone)) return;
+  std::swap(scene.feedback, feedback_);
+  for (const v1::ToolFeedback& feedback : scene.feedback) {
+    bus_.publish(scene.feedback_keys.at(feedback.tool()), feedback, {.urgent = true});
   }
 }
 

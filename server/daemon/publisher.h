@@ -56,6 +56,7 @@ class WakeUp {
 ///   newest.
 /// - Changes of the surface and events go out at most 20 times a second; each message has all of them.
 /// - Order: feedback before frames, and again after each frame. A hand feels a late force; nobody feels a late frame.
+/// - Other tools: a topology with them goes before their first frame, and tools that are gone get a last feedback.
 /// - End of a scene: the publisher sends a last feedback with zero force and zero stiffness for each tool, so that no
 ///   client keeps pressing with an old force. Then it drops the scene's retained messages.
 ///
@@ -79,9 +80,10 @@ class Publisher {
     explicit Scene(const control::RunnerPtr& started) : runner(started), id(started.get()) {}
 
     std::weak_ptr<world::Runner> runner;
-    const world::Runner* id;                 // to compare only; may dangle
-    std::vector<v1::ToolFeedback> feedback;  // the last published feedback of each tool
-    std::vector<std::string> feedback_keys;  // one for each tool, in the order of `feedback`
+    const world::Runner* id;                           // to compare only; may dangle
+    std::uint64_t topology_version = 0;                // the last published one
+    std::vector<v1::ToolFeedback> feedback;            // the last published feedback of each tool
+    std::map<std::string, std::string> feedback_keys;  // [tool] of that topology
     std::string frame_key, status_key, topology_key, changes_key, events_key;
     std::chrono::steady_clock::time_point next_changes, next_events;  // not before
     std::uint64_t recoveries = 0;                                     // logged so far
@@ -98,9 +100,13 @@ class Publisher {
   void follow_registry();
   /// Publishes the topology and prepares the keys.
   void start_scene(const control::RunnerPtr& runner);
+  /// Publishes the topology if it is another one than before, and the end of tools that it does not have.
+  void follow_tools(const std::string& name, Scene& scene, const world::Runner& runner);
+  /// Publishes a last feedback, without force.
+  void release(const std::string& key, v1::ToolFeedback& feedback, bool removed);
   /// Publishes zero forces and drops the retained messages.
   void end_scene(Scene& scene);
-  void publish_feedback(Scene& scene);
+  void publish_feedback(const std::string& name, Scene& scene);
   void publish_changes(Scene& scene, world::Runner& runner);
   void log_recovery(const std::string& name, Scene& scene);
   void log_findings(const std::string& name, Scene& scene);
@@ -114,6 +120,7 @@ class Publisher {
   std::map<std::string, Scene> scenes_;
   // Reused for every message, so that their buffers are allocated once.
   v1::Frame frame_;
+  std::vector<v1::ToolFeedback> feedback_;
   v1::SceneStatus status_;
   v1::SurfaceChanges changes_;
   v1::SceneEvents events_;

@@ -57,6 +57,7 @@ v1::SceneAdjustments adjustments_of(const v1::Scene& loaded) {
 
 Result<v1::SceneAdjustments> with_changes(v1::SceneAdjustments present, const v1::SceneAdjustments& changes) {
   if (changes.has_gravity_m_per_s2()) *present.mutable_gravity_m_per_s2() = changes.gravity_m_per_s2();
+  if (changes.has_tools()) *present.mutable_tools() = changes.tools();
   std::set<std::string_view> named;
   for (const v1::BodyAdjustment& change : changes.bodies()) {
     const auto found =
@@ -81,7 +82,9 @@ Result<v1::SceneAdjustments> with_changes(v1::SceneAdjustments present, const v1
   return present;
 }
 
-v1::SceneAdjustments with_cuts_of(const v1::SceneAdjustments& present, v1::SceneAdjustments wanted) {
+v1::SceneAdjustments with_edits_of(const v1::SceneAdjustments& present, v1::SceneAdjustments wanted) {
+  wanted.clear_tools();
+  if (present.has_tools()) *wanted.mutable_tools() = present.tools();
   for (int i = 0; i < wanted.bodies_size(); ++i) {
     wanted.mutable_bodies(i)->clear_cuts();
     if (present.bodies(i).has_cuts()) *wanted.mutable_bodies(i)->mutable_cuts() = present.bodies(i).cuts();
@@ -90,7 +93,7 @@ v1::SceneAdjustments with_cuts_of(const v1::SceneAdjustments& present, v1::Scene
 }
 
 v1::SceneAdjustments next_part(const v1::SceneAdjustments& present, const v1::SceneAdjustments& wanted) {
-  v1::SceneAdjustments out = with_cuts_of(present, wanted);
+  v1::SceneAdjustments out = with_edits_of(present, wanted);
   for (int i = 0; i < out.bodies_size(); ++i) {
     v1::BodyAdjustment& body = *out.mutable_bodies(i);
     const double factor = present.bodies(i).stiffness_factor();
@@ -100,8 +103,13 @@ v1::SceneAdjustments next_part(const v1::SceneAdjustments& present, const v1::Sc
   return out;
 }
 
+bool same_tools(const v1::SceneAdjustments& one, const v1::SceneAdjustments& other) {
+  return one.has_tools() == other.has_tools() && one.tools().SerializeAsString() == other.tools().SerializeAsString();
+}
+
 v1::Scene adjusted(const v1::Scene& loaded, const v1::SceneAdjustments& adjustments) {
   v1::Scene out = loaded;
+  if (adjustments.has_tools()) *out.mutable_tools() = adjustments.tools().tools();
   const v1::Vector3& gravity = adjustments.gravity_m_per_s2();
   if (out.has_gravity_m_per_s2() || gravity.x() != 0 || gravity.y() != 0 || gravity.z() != 0) {
     *out.mutable_gravity_m_per_s2() = gravity;

@@ -13,9 +13,13 @@ namespace tensormass::world {
 namespace {
 
 bool adjusts(const DoneEdit& done) { return std::holds_alternative<Adjust>(*done.edit); }
-bool changes(const DoneEdit& done) { return std::holds_alternative<ChangeScene>(*done.edit); }
+/// Whether the present state becomes another one, by an edit that counts.
+bool changes(const DoneEdit& done) {
+  const Adjust* adjust = std::get_if<Adjust>(done.edit.get());
+  return std::holds_alternative<ChangeScene>(*done.edit) || (adjust != nullptr && adjust->changes_tools);
+}
 /// Whether the state becomes another one, whatever it was.
-bool replaces_state(const DoneEdit& done) { return !adjusts(done) && !changes(done); }
+bool replaces_state(const DoneEdit& done) { return !adjusts(done) && !std::holds_alternative<ChangeScene>(*done.edit); }
 
 }  // namespace
 
@@ -29,7 +33,8 @@ void add_edit(std::vector<DoneEdit>& edits, DoneEdit next) {
     if (edits.size() > 1) edits.erase(edits.begin(), edits.end() - 1);
   } else if (adjusts(next)) {
     const auto state = std::find_if(edits.begin(), edits.end(), replaces_state);
-    edits.erase(std::remove_if(state == edits.end() ? edits.begin() : state, edits.end(), adjusts), edits.end());
+    const auto is_replaced = [](const DoneEdit& done) { return adjusts(done) && !changes(done); };
+    edits.erase(std::remove_if(state == edits.end() ? edits.begin() : state, edits.end(), is_replaced), edits.end());
   }
   edits.push_back(std::move(next));
   TM_ASSERT(edits.size() <= kMaxEditsOfStep, "values, a state, values, and as many changes as a step may have");

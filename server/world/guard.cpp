@@ -234,7 +234,7 @@ std::string to_text(const GuardEvent& event, const model::Model& m) {
   if (event.outcome == Outcome::kTakenOut) {
     return fmt::format(
         "tool '{}' was inside tissue at step {}; it fades out, and comes back from outside within {:g} s",
-        m.tools[static_cast<std::size_t>(event.first.value)].name, event.step, 2 * ToolMotion::kFadeS);
+        event.tool.view(), event.step, 2 * ToolMotion::kFadeS);
   }
   const std::string what = fmt::format("step {} left its bounds: {}", event.step, to_text(event.first));
   switch (event.outcome) {

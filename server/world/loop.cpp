@@ -29,16 +29,20 @@ Clock::time_point expiry_of(const ReceivedPose& pose) {
 
 Loop::Loop(std::string backend, std::unique_ptr<World> world, GenerationPointer generation)
     : world_(std::move(world)),
-      inboxes_(model().tools.size()),
       generation_(std::move(generation)),
       budget_(model()),
       outputs_(*world_, counts_),
       surface_(model()),
       told_m3_(world_->removed().size()),
-      status_(world_->shared_model(), std::move(backend), budget_, inboxes_, outputs_, counts_),
+      status_(world_->shared_model(), std::move(backend), budget_, generation_, poses_, outputs_, counts_),
       clock_(model().rate_hz),
       hand_(clock_.period()),
+      inboxes_(generation_.get()->inboxes),
       expiry_(model().tools.size(), Clock::time_point::max()) {
+  TM_ASSERT(inboxes_.size() == expiry_.size(), "an inbox for each tool");
+  // So that other tools need no memory between two steps.
+  inboxes_.reserve(limits::kMaxTools);
+  expiry_.reserve(limits::kMaxTools);
   status_.take_stamp(outputs_.stamp());
   take_edits();
   outputs_.publish(true);
@@ -56,10 +60,14 @@ Loop::~Loop() {
   TM_ASSERT(commands_.empty(), "nobody waits for a loop that ends");
 }
 
-Result<void> Loop::submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source) {
-  TM_ASSERT(tool < inboxes_.tools.size(), "a pose is for a tool of the scene");
+Result<void> Loop::submit_pose(std::string_view name, const v1::ToolPose& pose, PoseSource source) {
   const GenerationPointer present = generation();
-  TM_RETURN_IF_ERROR(inboxes_.tools[tool].submit(present->model->tools[tool], pose, source));
+  const auto tool = find_tool(*present->model, name);
+  if (!tool) {
+    count_malformed_pose();
+    return tl::make_unexpected(tool.error());
+  }
+  TM_RETURN_IF_ERROR(present->inboxes[*tool]->submit(present->model->tools[*tool], pose, source));
   if (!listens_.load()) return {};
   { const std::lock_guard lock(mutex_); }  // the loop now waits, or has seen the pose
   wake_.notify_one();
@@ -124,7 +132,7 @@ std::size_t Loop::leading_tool() const {
 
 bool Loop::hand_came() const {
   const std::size_t tool = leading_tool();
-  return tool != kNone && hand_.starts(inboxes_.tools[tool].newest_arrival(), clock_.begin());
+  return tool != kNone && hand_.starts(inboxes_[tool]->newest_arrival(), clock_.begin());
 }
 
 bool Loop::step_due(Clock::time_point now) const {
@@ -154,8 +162,8 @@ bool Loop::frame_due() {
 
 /// Gives the newest poses to the world.
 void Loop::take_poses() {
-  for (std::size_t i = 0; i < inboxes_.tools.size(); ++i) {
-    const ReceivedPose* newest = inboxes_.tools[i].take();
+  for (std::size_t i = 0; i < inboxes_.size(); ++i) {
+    const ReceivedPose* newest = inboxes_[i]->take();
     if (newest == nullptr) continue;
     ReceivedPose received = *newest;
     if (!received.has_joints) received.pose.joint_values = world_->tool_target(i).joint_values;
@@ -294,6 +302,14 @@ tl::unexpected<Error> Loop::unload_error(std::string_view left) const {
   return fail(ErrorCode::kUnavailable, fmt::format("scene '{}' is being unloaded; {}", model().name, left));
 }
 
+tl::unexpected<Error> Loop::changes_error() const {
+  return fail(
+      ErrorCode::kResourceExhausted,
+      fmt::format("scene '{}' is recorded and had world::kMaxChangesOfStep = {} edits since its last step; make "
+                  "a step first",
+                  model().name, kMaxChangesOfStep));
+}
+
 Result<v1::SceneStatus> Loop::do_pause() {
   TM_RETURN_IF_ERROR(status_.require_not_faulted());
   if (status_.state() == v1::SceneStatus::STATE_LOCKSTEP) return lockstep_error("pause");
@@ -363,13 +379,7 @@ Result<v1::SceneStatus> Loop::do_reset(EditPointer edit) {
 
 Result<v1::SceneStatus> Loop::do_edit(const v1::SceneEdit& change, EditPointer edit) {
   TM_RETURN_IF_ERROR(status_.require_not_faulted());
-  if (recording_ && !recording_->takes_change()) {
-    return fail(
-        ErrorCode::kResourceExhausted,
-        fmt::format("scene '{}' is recorded and had world::kMaxChangesOfStep = {} edits since its last step; make "
-                    "a step first",
-                    model().name, kMaxChangesOfStep));
-  }
+  if (recording_ && !recording_->takes_change()) return changes_error();
   TM_ASSIGN_OR_RETURN(read, read_scene_edit(model(), change, world_->broken_springs()));
   TM_RETURN_IF_ERROR(world_->edit(read.ablations, read.springs));
   if (recording_) recording_->take_edit({std::move(edit), world_->step_count()});
@@ -436,7 +446,7 @@ void Loop::go_on_from_new_state() {
   if (status_.state() == v1::SceneStatus::STATE_FAULTED) {
     set_state(model().lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING);
   }
-  for (PoseInbox& inbox : inboxes_.tools) inbox.take();  // drops poses that were sent before
+  for (const std::shared_ptr<PoseInbox>& inbox : inboxes_) inbox->take();  // drops poses that were sent before
   std::fill(expiry_.begin(), expiry_.end(), Clock::time_point::max());
   outputs_.take_step(Clock::now());
   status_.take_stamp(outputs_.stamp());
@@ -460,6 +470,20 @@ Result<const model::BodyModel*> find_body(const model::Model& model, std::string
   return fail(ErrorCode::kNotFound,
               fmt::format("scene '{}' has no body '{}'; it has: {}", model.name, name,
                           list_names(model.bodies, [](const model::BodyModel& body) { return body.name; })));
+}
+
+Result<std::size_t> find_tool(const model::Model& model, std::string_view name) {
+  for (std::size_t i = 0; i < model.tools.size(); ++i) {
+    if (model.tools[i].name == name) return i;
+  }
+  return fail(ErrorCode::kNotFound,
+              fmt::format("scene '{}' has no tool '{}'; it has: {}", model.name, name,
+                          list_names(model.tools, [](const model::ToolModel& tool) { return tool.name; })));
+}
+
+Result<v1::ToolFeedback> Loop::do_feedback(std::string_view name) {
+  TM_ASSIGN_OR_RETURN(tool, find_tool(model(), name));
+  return outputs_.feedback(tool);
 }
 
 Result<v1::GetPositionsResponse> Loop::do_positions(std::string_view name) {

@@ -56,6 +56,8 @@
 namespace tensormass::world {
 
 Result<const model::BodyModel*> find_body(const model::Model& model, std::string_view name);
+/// Returns the place of a tool.
+Result<std::size_t> find_tool(const model::Model& model, std::string_view name);
 
 class Loop {
  public:
@@ -93,14 +95,14 @@ class Loop {
   /// The present values of the scene. A state of it may be of earlier ones: commands return those of theirs.
   GenerationPointer generation() const { return generation_.get(); }
   const LoopStatus& status() const { return status_; }
-  Result<void> submit_pose(std::size_t tool, const v1::ToolPose& pose, PoseSource source);
-  void count_malformed_pose() { inboxes_.malformed.fetch_add(1, std::memory_order_relaxed); }
+  /// Fails with kNotFound, and counts the pose as malformed, if the scene has no such tool.
+  Result<void> submit_pose(std::string_view tool, const v1::ToolPose& pose, PoseSource source);
+  void count_malformed_pose() { poses_.malformed.fetch_add(1, std::memory_order_relaxed); }
   /// Returns false if the loop should have turned at least `late` ago: a step or a command hangs. A loop that waits for
   /// a command, or for a step that is not due, is well.
   bool turns(Clock::time_point now, Clock::duration late) const {
     return now.time_since_epoch().count() - due_by_.load(std::memory_order_relaxed) < late.count();
   }
-  const PoseInbox& inbox(std::size_t tool) const { return inboxes_.tools[tool]; }
   /// Ends the step at hand and a `do_step` in progress, because nobody will see the scene again.
   void cancel() {
     const std::lock_guard lock(cancelling_);
@@ -137,7 +139,7 @@ class Loop {
   Result<v1::Frame> do_frame();
   Result<v1::GetPositionsResponse> do_positions(std::string_view body);
   Result<FieldSource> do_copy_state();
-  Result<v1::ToolFeedback> do_feedback(std::size_t tool) { return outputs_.feedback(tool); }
+  Result<v1::ToolFeedback> do_feedback(std::string_view tool);
   Result<void> do_set_signal(std::function<void()> signal);
 
   // Commands of recordings, snapshots and adjustments, in loop_recording.cpp.
@@ -174,6 +176,9 @@ class Loop {
     EditPointer edit;                         ///< what the change was, for a recording; nullptr: it has none
     std::shared_ptr<SurfaceChanges> surface;  ///< without a revision; nullptr: clients see the same surface
     bool takes_state = true;                  ///< false: it stays at its start
+    /// As of places_before (tool_changes.h); no value: the same tools.
+    std::optional<std::vector<std::size_t>> places = {};
+    bool same_values = false;  ///< only tools differ, so that the energy balance goes on
   };
   /// Puts another world of the scene in place of the present one, whose state it takes. On success `swap.world` is the
   /// world before, which may take long to end. On failure the scene is unchanged. Clears a fault of the guard.
@@ -221,7 +226,9 @@ class Loop {
   void measure_pose_ages(Clock::time_point now);
   void record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected);
   void go_on_from_new_state();
-  void go_on_with_new_values(GenerationPointer next, EditPointer edit);
+  void go_on_with_new_values(GenerationPointer next, EditPointer edit, bool tools_change = false);
+  void take_tools(const PoseInboxes& inboxes, std::span<const std::size_t> places);
+  void tell_of_tools(const model::Model& before, std::span<const std::size_t> places);
   void publish_new_values();
   void take_edits();
   void tell_what_broke();
@@ -234,6 +241,7 @@ class Loop {
   void stop_for_device(const std::exception& failure);
   Result<void> require_state() const;
   tl::unexpected<Error> unload_error(std::string_view left) const;
+  tl::unexpected<Error> changes_error() const;
   /// Ends a recording whose reader is stuck.
   void drop_abandoned_recording();
   tl::unexpected<Error> lockstep_error(std::string_view what) const;
@@ -249,7 +257,7 @@ class Loop {
   std::unique_ptr<World> world_;  // the loop's own; replaced with `cancelling_`, which `cancel` takes to read it
 
   // Shared with other threads.
-  PoseInboxes inboxes_;
+  PoseCounts poses_;
   Present<Generation> generation_;
   IterationBudget budget_;
   const std::shared_ptr<SceneCounts> counts_ = std::make_shared<SceneCounts>();
@@ -271,6 +279,7 @@ class Loop {
   // The loop's own.
   StepClock clock_;
   HandPhase hand_;
+  PoseInboxes inboxes_;                    // those of the generation
   std::size_t leading_ = kNone;            // tool whose poses hand_ knows
   std::vector<Clock::time_point> expiry_;  // [tool]: when its newest pose expires by real time; max: it does not
   double frame_phase_ = 0;                 // frames that are due, less than one after each step

@@ -10,36 +10,51 @@ namespace tensormass::world {
 
 LoopOutputs::LoopOutputs(World& world, std::shared_ptr<SceneCounts> counts)
     : world_(&world),
-      model_(world.shared_model()),
-      tools_(world.model().tools.size()),
+      shown_{world.shared_model(), 0},
+      first_topology_version_(world.topology_version()),
+      tools_(world.readings()),
       frames_(FrameSlot{{},
                         std::vector<float>(world.visible_positions().size()),
                         tools_,
                         std::vector<std::uint8_t>(world.broken_springs().size())}),
       feedback_(FeedbackSlot{{}, tools_}),
       status_feedback_(FeedbackSlot{{}, tools_}),
-      counts_(std::move(counts)),
-      answered_(tools_.size()) {
+      counts_(std::move(counts)) {
   take_step(Clock::now());
   for (std::size_t i = 0; i < tools_.size(); ++i) answered_[i] = tools_[i].newest.arrived;
 }
 
-void LoopOutputs::go_on_with(World& world) noexcept {
-  TM_ASSERT(world.readings().size() == tools_.size() &&
+void LoopOutputs::go_on_with(World& world, bool tools_change) noexcept {
+  TM_ASSERT((tools_change || world.readings().size() == tools_.size()) &&
                 world.model().visible.count() == world_->model().visible.count() &&
                 world.broken_springs().size() == world_->broken_springs().size(),
             "slots have the sizes of what they take");
   world_ = &world;
-  (void)model_.replace(world.shared_model());
+  if (tools_change) {
+    tools_ = world.readings();
+    ++stamp_.tool_changes;
+  }
+  Shown next{world.shared_model(), stamp_.tool_changes};
+  const std::lock_guard lock(shown_mutex_);
+  std::swap(shown_, next);
+}
+
+void LoopOutputs::repeat_changes() {
+  if (newest_changes_ != nullptr) leave_changes();
 }
 
 void LoopOutputs::take_step(Clock::time_point began) {
   const std::span<const ToolReading> readings = world_->readings();
   TM_ASSERT(readings.size() == tools_.size(), "a reading for each tool");
-  stamp_ = {world_->step_count(), world_->simulated_time_s(), unix_time_ns(), began,
-            Clock::now(),         world_->topology_version()};
+  stamp_ = {.step = world_->step_count(),
+            .simulated_time_s = world_->simulated_time_s(),
+            .server_time_ns = unix_time_ns(),
+            .began = began,
+            .ended = Clock::now(),
+            .topology_version = world_->topology_version(),
+            .tool_changes = stamp_.tool_changes};
   stamp_changes();
-  std::copy(readings.begin(), readings.end(), tools_.begin());
+  tools_ = readings;
 }
 
 void LoopOutputs::stamp_changes() {
@@ -66,13 +81,14 @@ void LoopOutputs::leave_changes() {
   }
 }
 
-void LoopOutputs::add_event(const SceneEvent& event) {
+void LoopOutputs::add_event(SceneEvent event) {
+  if (event.tool != SceneEvent::kNone) event.tool_name = ToolName(world_->model().tools[event.tool].name);
   log_.add(event, unix_time_ns());
   leave_events();
 }
 
 void LoopOutputs::leave_events() {
-  events_.writing() = {log_, world_->topology_version()};
+  events_.writing() = {log_, first_topology_version_};
   events_.publish();
 }
 
@@ -117,7 +133,6 @@ void LoopOutputs::leave_feedback() {
   if (tools_.empty()) return;
   for (Latest<FeedbackSlot>* mailbox : {&feedback_, &status_feedback_}) {
     FeedbackSlot& slot = mailbox->writing();
-    TM_ASSERT(slot.tools.size() == tools_.size(), "a slot has the size of what it takes, so copying allocates nothing");
     slot.stamp = stamp_;
     slot.tools = tools_;
     mailbox->publish();
@@ -129,8 +144,7 @@ void LoopOutputs::leave_frame() {
   FrameSlot& slot = frames_.writing();
   const std::span<const float> positions = world_->visible_positions();
   const std::span<const std::uint8_t> broken = world_->broken_springs();
-  TM_ASSERT(slot.positions.size() == positions.size() && slot.tools.size() == tools_.size() &&
-                slot.broken_springs.size() == broken.size(),
+  TM_ASSERT(slot.positions.size() == positions.size() && slot.broken_springs.size() == broken.size(),
             "a slot has the size of what it takes, so copying allocates nothing");
   slot.stamp = stamp_;
   std::copy(positions.begin(), positions.end(), slot.positions.begin());
@@ -144,7 +158,7 @@ v1::Frame LoopOutputs::frame() {
   world_->gather_visible();
   v1::Frame frame;
   frame.set_sequence(frames_published_.load(std::memory_order_relaxed));
-  fill_frame(world_->model(), stamp_, world_->visible_positions(), tools_, world_->broken_springs(), frame);
+  fill_frame(world_->model(), stamp_, world_->visible_positions(), tools_.all(), world_->broken_springs(), frame);
   return frame;
 }
 
@@ -158,19 +172,24 @@ v1::ToolFeedback LoopOutputs::feedback(std::size_t tool) const {
 bool LoopOutputs::take_frame(v1::Frame& frame) {
   const FrameSlot* slot = frames_.take();
   if (slot == nullptr) return false;
+  const Shown now = shown();
+  if (slot->stamp.tool_changes != now.tool_changes) return false;
   frame.set_sequence(frames_published_.fetch_add(1, std::memory_order_relaxed) + 1);
-  fill_frame(*model_.get(), slot->stamp, slot->positions, slot->tools, slot->broken_springs, frame);
+  fill_frame(*now.model, slot->stamp, slot->positions, slot->tools.all(), slot->broken_springs, frame);
   return true;
 }
 
 bool LoopOutputs::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
   const FeedbackSlot* slot = feedback_.take();
   if (slot == nullptr) return false;
-  const std::shared_ptr<const model::Model> model = model_.get();
+  const Shown now = shown();
+  if (slot->stamp.tool_changes != now.tool_changes) return false;
+  const bool counts = std::exchange(answered_changes_, now.tool_changes) == now.tool_changes;
   feedback.resize(slot->tools.size());
   for (std::size_t i = 0; i < slot->tools.size(); ++i) {
-    fill_feedback(*model, slot->stamp, i, slot->tools[i], feedback[i]);
-    if (!model->lockstep) count_answer(i, slot->tools[i].newest.arrived);
+    fill_feedback(*now.model, slot->stamp, i, slot->tools[i], feedback[i]);
+    if (!counts) answered_[i] = slot->tools[i].newest.arrived;  // so far that of another tool
+    if (!now.model->lockstep) count_answer(i, slot->tools[i].newest.arrived);
   }
   return true;
 }
@@ -185,7 +204,7 @@ bool LoopOutputs::take_changes(v1::SurfaceChanges& changes) {
 bool LoopOutputs::take_events(v1::SceneEvents& events) {
   const EventsSlot* slot = events_.take();
   if (slot == nullptr) return false;
-  fill_events(*model_.get(), *slot, events);
+  fill_events(*shown().model, *slot, events);
   return true;
 }
 
@@ -212,9 +231,10 @@ void LoopOutputs::add_to(v1::SceneStatus& status) const {
   if (const FeedbackSlot* newer = status_feedback_.take()) newest_status_feedback_ = newer;
   if (newest_status_feedback_ == nullptr) return;
   const FeedbackSlot& slot = *newest_status_feedback_;
-  const std::shared_ptr<const model::Model> model = model_.get();
+  const Shown now = shown();
+  if (slot.stamp.tool_changes != now.tool_changes) return;  // those of the present tools are on their way
   for (std::size_t i = 0; i < slot.tools.size(); ++i) {
-    fill_feedback(*model, slot.stamp, i, slot.tools[i], *status.add_tools());
+    fill_feedback(*now.model, slot.stamp, i, slot.tools[i], *status.add_tools());
   }
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <functional>
@@ -10,7 +11,6 @@
 #include "tensormass/v1/stream.pb.h"
 #include "world/latest.h"
 #include "world/messages.h"
-#include "world/present.h"
 #include "world/scene_counts.h"
 #include "world/world.h"
 
@@ -41,8 +41,11 @@ class LoopOutputs {
 
   // -- the loop's thread; these read the world ------------------------------------------------------------------------
 
-  /// Goes on with another world of the same scene: same tools, same visible nodes.
-  void go_on_with(World& world) noexcept;
+  /// Goes on with another world of the same scene: same visible nodes. tools_change: it has others, or in another
+  /// order.
+  void go_on_with(World& world, bool tools_change = false) noexcept;
+  /// Says to readers that the changes so far are those of the world's topology, which is another one with that surface.
+  void repeat_changes();
   /// Copies step, time and tool readings from the world.
   void take_step(Clock::time_point began);
   /// Takes what became of the surface. Frames of the steps from here on have its revision, and the world's visible
@@ -50,7 +53,7 @@ class LoopOutputs {
   /// the old ones until use_count() is 1, so that the loop frees nothing.
   void set_changes(SurfaceChangesPointer changes);
   /// Adds an event and leaves it for the publisher, who learns of it with the next `publish`.
-  void add_event(const SceneEvent& event);
+  void add_event(SceneEvent event);
   /// Adds the event of a recovery that began in the world's last step, or of a step that stopped the scene.
   void note_guard();
   /// Zeroes force, torque and stiffness of every tool: a scene that does not step must not push anyone's hand.
@@ -75,7 +78,8 @@ class LoopOutputs {
   /// Takes the newest frame; false if no step has made one since the last call. The frame has the topology version of
   /// its step, also if the world has a newer topology by now.
   bool take_frame(v1::Frame& frame);
-  /// Takes the newest feedback of all tools; false if the last call took it.
+  /// Takes the newest feedback of all tools; false if the last call took it, or if the scene has other tools by now:
+  /// newer feedback is on its way then. The same holds for frames.
   bool take_feedback(std::vector<v1::ToolFeedback>& feedback);
   /// Takes the newest changes of the surface; false if they are those of the last call.
   bool take_changes(v1::SurfaceChanges& changes);
@@ -97,11 +101,23 @@ class LoopOutputs {
   void leave_events();
   void count_answer(std::size_t tool, Clock::time_point arrived);
 
-  World* world_;                 // the loop's
-  Present<model::Model> model_;  // for other threads
+  /// What other threads read of the world that made the newest results.
+  struct Shown {
+    std::shared_ptr<const model::Model> model;
+    std::uint32_t tool_changes = 0;  // results with another number have other tools
+  };
+  Shown shown() const {
+    const std::lock_guard lock(shown_mutex_);
+    return shown_;
+  }
+
+  World* world_;  // the loop's
+  mutable std::mutex shown_mutex_;
+  Shown shown_;  // guarded by shown_mutex_
+  const std::uint64_t first_topology_version_;
   // The loop's own copy of the newest results; readers get copies of it.
   StepStamp stamp_;
-  std::vector<ToolReading> tools_;
+  ToolReadings tools_;
   SurfaceChangesPointer newest_changes_;
   EventLog log_;
   bool was_recovering_ = false;
@@ -120,7 +136,9 @@ class LoopOutputs {
   Latest<EventsSlot> events_;
 
   const std::shared_ptr<SceneCounts> counts_;
-  std::vector<Clock::time_point> answered_;  // [tool]: arrival of the newest pose that was counted; the publisher's
+  // The publisher's: [tool] arrival of the newest pose that was counted, and whose tools these are.
+  std::array<Clock::time_point, limits::kMaxTools> answered_{};
+  std::uint32_t answered_changes_ = 0;
   // frames_published_: those that the publisher took, which is the sequence of the last one.
   std::atomic<std::uint64_t> frames_published_{0}, frames_replaced_{0};
 };

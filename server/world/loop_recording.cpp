@@ -1,10 +1,13 @@
 #include <algorithm>
+#include <array>
 #include <new>
+#include <numeric>
 
 #include "world/cut_state.h"
 #include "world/cuts.h"
 #include "world/hashes.h"
 #include "world/loop.h"
+#include "world/tool_changes.h"
 
 /// The loop's commands for recordings, replays, snapshots and adjustments. Each runs between two steps.
 namespace tensormass::world {
@@ -109,16 +112,29 @@ Result<void> Loop::do_swap(Swap& swap) {
   const double area_m2 = area_of(swap.generation->cuts), cut_m2 = area_m2 - area_of(before->cuts);
   const bool cuts = swap.generation->cuts != before->cuts;
   const std::vector<FreedPiece> freed = freed_pieces(before->cuts, swap.generation->cuts);
+  const bool tools_change = swap.places.has_value();
+  std::shared_ptr<const RecordedTools> recorded;
+  if (tools_change && recording_ && !recording_->takes_change()) return changes_error();
   try {
     try {
+      if (tools_change && recording_) recorded = std::make_shared<const RecordedTools>(next->model());
+      if (!tools_change) {
+        swap.places.emplace(model().tools.size());
+        std::iota(swap.places->begin(), swap.places->end(), std::size_t{0});
+      }
       if (swap.takes_state) {
         World::Saved saved = World::by_node(*world_->shared_model(), world_->copy());
         if (cuts) {
           TM_ASSIGN_OR_RETURN(tissue, cut_state(*world_->shared_model(), saved.tissue, next->model()));
           saved.tissue = std::move(tissue);
         }
-        next->take_over(saved);
-        next->sweeps().go_on_with(world_->sweeps());
+        if (tools_change) saved = with_tools(*world_->shared_model(), next->model(), saved, *swap.places);
+        if (swap.same_values) {
+          next->restore(saved);
+        } else {
+          next->take_over(saved);
+        }
+        next->sweeps().go_on_with(world_->sweeps(), *swap.places);
       }
     } catch (const std::bad_alloc&) {
       throw;
@@ -135,12 +151,15 @@ Result<void> Loop::do_swap(Swap& swap) {
     world_.swap(next);
     if (cancelled()) world_->stop();
   }
-  go_on_with_new_values(std::move(swap.generation), std::move(swap.edit));
+  if (recorded != nullptr) recording_->go_on_with(std::move(recorded));
+  if (tools_change) take_tools(swap.generation->inboxes, *swap.places);
+  go_on_with_new_values(std::move(swap.generation), std::move(swap.edit), tools_change);
+  if (tools_change) tell_of_tools(*before->model, *swap.places);
   status_.take_cut_area(area_m2);
   if (swap.surface != nullptr) outputs_.set_changes(surface_.number(std::move(swap.surface)));
   if (cut_m2 > 0) {
     outputs_.add_event({.kind = EventKind::kCut, .step = world_->step_count(), .value = cut_m2});
-  } else if (!cuts) {  // edges may be cut before any element is
+  } else if (!cuts && !swap.same_values) {  // edges may be cut before any element is
     outputs_.add_event({.kind = EventKind::kAdjusted, .step = world_->step_count()});
   }
   for (const FreedPiece& piece : freed) {
@@ -151,16 +170,53 @@ Result<void> Loop::do_swap(Swap& swap) {
   return {};
 }
 
-/// Tells everybody that the world has other values.
-void Loop::go_on_with_new_values(GenerationPointer next, EditPointer edit) {
+/// Goes on with other tools. Needs no memory. inboxes: those of the next generation; places: as of places_before
+void Loop::take_tools(const PoseInboxes& inboxes, std::span<const std::size_t> places) {
+  std::array<bool, limits::kMaxTools> stays{};
+  std::array<Clock::time_point, limits::kMaxTools> expiry{};
+  std::size_t leading = kNone;
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    const bool is_new = places[i] == kNewTool;
+    expiry[i] = is_new ? Clock::time_point::max() : expiry_[places[i]];
+    if (is_new) continue;
+    stays[places[i]] = true;
+    if (places[i] == leading_) leading = i;
+  }
+  for (std::size_t i = 0; i < inboxes_.size(); ++i) {
+    if (!stays[i]) poses_.add(*inboxes_[i]);
+  }
+  inboxes_ = inboxes;
+  expiry_.assign(expiry.begin(), expiry.begin() + static_cast<std::ptrdiff_t>(places.size()));
+  leading_ = leading;
+}
+
+/// Tells of tools that have gone and come. before: the model with the former
+void Loop::tell_of_tools(const model::Model& before, std::span<const std::size_t> places) {
+  for (std::size_t i = 0; i < before.tools.size(); ++i) {
+    if (std::find(places.begin(), places.end(), i) != places.end()) continue;
+    outputs_.add_event(
+        {.kind = EventKind::kToolRemoved, .step = world_->step_count(), .tool_name = ToolName(before.tools[i].name)});
+  }
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    if (places[i] != kNewTool) continue;
+    outputs_.add_event({.kind = EventKind::kToolAdded,
+                        .step = world_->step_count(),
+                        .tool = static_cast<std::uint32_t>(i),
+                        .position_m = world_->tip_m(i)});
+  }
+}
+
+/// Tells everybody that the world has other values, or tools.
+void Loop::go_on_with_new_values(GenerationPointer next, EditPointer edit, bool tools_change) {
   const bool was_faulted = status_.state() == v1::SceneStatus::STATE_FAULTED;
-  outputs_.go_on_with(*world_);
+  outputs_.go_on_with(*world_, tools_change);
   status_.go_on_with(world_->shared_model());
   (void)generation_.replace(std::move(next));
   next_diagnostics_ = 0;
   if (was_faulted) clock_.restart(Clock::now());
   if (recording_ && edit) recording_->take_edit({std::move(edit), world_->step_count()});
   outputs_.take_step(Clock::now());
+  if (tools_change) outputs_.repeat_changes();  // with the version of the new topology
   take_edits();
 }
 

@@ -23,11 +23,12 @@ void fill(const DurationCounts& counts, v1::DurationHistogram& out) {
 }  // namespace
 
 LoopStatus::LoopStatus(const std::shared_ptr<const model::Model>& model, std::string backend,
-                       const IterationBudget& budget, const PoseInboxes& inboxes, const LoopOutputs& outputs,
-                       std::shared_ptr<SceneCounts> counts)
+                       const IterationBudget& budget, const Present<Generation>& generation, const PoseCounts& poses,
+                       const LoopOutputs& outputs, std::shared_ptr<SceneCounts> counts)
     : settings_(*model),
       backend_(std::move(backend)),
-      inboxes_(inboxes),
+      generation_(generation),
+      poses_(poses),
       outputs_(outputs),
       state_(model->lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING),
       statistics_(std::make_shared<StepStatistics>()),
@@ -102,11 +103,14 @@ v1::SceneStatus LoopStatus::make() const {
   status.set_step_time_p99_s(times.p99_s);
   status.set_step_time_max_s(times.max_s);
   fill(statistics_->times(), *status.mutable_step_times());
-  std::uint64_t received = 0, rejected = inboxes_.malformed.load(std::memory_order_relaxed), superseded = 0;
-  for (const PoseInbox& inbox : inboxes_.tools) {
-    received += inbox.received();
-    rejected += inbox.rejected();
-    superseded += inbox.superseded();
+  std::uint64_t received = poses_.received.load(std::memory_order_relaxed),
+                rejected =
+                    poses_.malformed.load(std::memory_order_relaxed) + poses_.rejected.load(std::memory_order_relaxed),
+                superseded = poses_.superseded.load(std::memory_order_relaxed);
+  for (const std::shared_ptr<PoseInbox>& inbox : generation_.get()->inboxes) {
+    received += inbox->received();
+    rejected += inbox->rejected();
+    superseded += inbox->superseded();
   }
   status.set_poses_received(received);
   status.set_poses_rejected(rejected);

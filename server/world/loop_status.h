@@ -10,8 +10,10 @@
 #include "core/result.h"
 #include "tensormass/v1/stream.pb.h"
 #include "world/findings.h"
+#include "world/generation.h"
 #include "world/loop_outputs.h"
 #include "world/pose_inbox.h"
+#include "world/present.h"
 #include "world/scene_counts.h"
 #include "world/step_clock.h"
 
@@ -30,7 +32,8 @@ class LoopStatus {
 
   /// backend: its name, as in SceneStatus. All references outlive the status.
   LoopStatus(const std::shared_ptr<const model::Model>& model, std::string backend, const IterationBudget& budget,
-             const PoseInboxes& inboxes, const LoopOutputs& outputs, std::shared_ptr<SceneCounts> counts);
+             const Present<Generation>& generation, const PoseCounts& poses, const LoopOutputs& outputs,
+             std::shared_ptr<SceneCounts> counts);
 
   // -- the loop's thread ----------------------------------------------------------------------------------------------
 
@@ -88,7 +91,8 @@ class LoopStatus {
  private:
   const model::Settings settings_;
   const std::string backend_;
-  const PoseInboxes& inboxes_;
+  const Present<Generation>& generation_;  // has the inboxes
+  const PoseCounts& poses_;
   const LoopOutputs& outputs_;
 
   std::atomic<State> state_;

@@ -72,6 +72,10 @@ std::string text_of(const model::Model& model, const SceneEvent& event, const v1
     case EventKind::kGuard:
     case EventKind::kHeld:
       return to_text(event.guard, model);
+    case EventKind::kToolAdded:
+      return fmt::format("tool '{}' was added", named.tool());
+    case EventKind::kToolRemoved:
+      return fmt::format("tool '{}' was removed", named.tool());
     case EventKind::kBroken:
       return fmt::format("{} broke", springs_of(event, named.attachment()));
   }
@@ -113,13 +117,7 @@ v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
     out.set_texture_image(body.texture.image);
     out.set_texture_coordinates(body.texture.coordinates);
   }
-  for (const model::ToolModel& tool : model.tools) {
-    v1::ToolShape& out = *topology.add_tools();
-    out.set_name(tool.name);
-    out.set_radius_m(tool.radius_m);
-    fill(tool.tip_offset_m, *out.mutable_tip_offset_m());
-    *out.mutable_tool() = *tool.description;
-  }
+  for (const model::ToolModel& tool : model.tools) fill_shape(tool, *topology.add_tools());
   topology.set_attachment_point_count(model.visible.attachment_point_count());
   for (const model::VisibleAttachment& attachment : model.attachments) {
     v1::AttachmentSprings& out = *topology.add_attachments();
@@ -130,6 +128,13 @@ v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
     if (std::isfinite(attachment.breaking_force_n)) out.set_breaking_force_n(attachment.breaking_force_n);
   }
   return topology;
+}
+
+void fill_shape(const model::ToolModel& tool, v1::ToolShape& out) {
+  out.set_name(tool.name);
+  out.set_radius_m(tool.radius_m);
+  fill(tool.tip_offset_m, *out.mutable_tip_offset_m());
+  *out.mutable_tool() = *tool.description;
 }
 
 double local_model_validity_s(const model::Model& model) { return std::max(3 / model.rate_hz, 0.02); }
@@ -227,7 +232,7 @@ void fill_events(const model::Model& model, const EventsSlot& slot, v1::SceneEve
     to.set_kind(static_cast<v1::SceneEvent::Kind>(event.kind));
     if (event.body != SceneEvent::kNone) to.set_body(model.bodies[event.body].name);
     if (event.attachment != SceneEvent::kNone) to.set_attachment(model.attachments[event.attachment].name);
-    if (event.tool != SceneEvent::kNone) to.set_tool(model.tools[event.tool].name);
+    to.set_tool(std::string(event.tool_name.view()));
     to.set_value(event.value);
     to.set_work_j(event.work_j);
     if (event.position_m) fill(*event.position_m, *to.mutable_position_m());

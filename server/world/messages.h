@@ -16,8 +16,8 @@
 /// Conversion of a scene's values to the messages of the protocol.
 namespace tensormass::world {
 
-/// A step: its number, its end in simulated time and on the server's clock, when it was computed, and the version of
-/// the v1::Topology and the revision of the SurfaceChanges that its positions have.
+/// A step: its number, its end in simulated time and on the server's clock, when it was computed, the version of the
+/// v1::Topology and the revision of the SurfaceChanges that its positions have, and how often tools had changed.
 struct StepStamp {
   std::uint64_t step = 0;
   double simulated_time_s = 0;
@@ -25,20 +25,21 @@ struct StepStamp {
   Clock::time_point began{}, ended{};
   std::uint64_t topology_version = 0;
   std::uint32_t revision = 0, appended_vertex_count = 0;
+  std::uint32_t tool_changes = 0;
 };
 
 /// Visible positions, tools and broken springs of a step, from the loop to the publisher.
 struct FrameSlot {
   StepStamp stamp;
   std::vector<float> positions;  ///< as World::visible_positions
-  std::vector<ToolReading> tools;
+  ToolReadings tools;
   std::vector<std::uint8_t> broken_springs;  ///< as World::broken_springs
 };
 
 /// Tools of a step, from the loop to the publisher.
 struct FeedbackSlot {
   StepStamp stamp;
-  std::vector<ToolReading> tools;
+  ToolReadings tools;
 };
 
 /// Changes of the surface, from the loop to those who send them.
@@ -59,6 +60,7 @@ std::uint64_t unix_time_ns();
 std::uint64_t new_topology_version();
 
 v1::Topology make_topology(const model::Model& model, std::uint64_t version);
+void fill_shape(const model::ToolModel& tool, v1::ToolShape& out);
 
 /// positions: [visible_count + stamp.appended_vertex_count, 3] m or more: the visible points of the model, then the
 /// appended vertices

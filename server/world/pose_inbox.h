@@ -4,9 +4,10 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
-#include <deque>
+#include <memory>
 #include <mutex>
 #include <string_view>
+#include <vector>
 
 #include "core/result.h"
 #include "tensormass/v1/stream.pb.h"
@@ -89,12 +90,27 @@ class PoseInbox {
   std::atomic<std::uint64_t> received_{0}, rejected_{0}, superseded_{0};
 };
 
-/// The inboxes of a scene.
-struct PoseInboxes {
-  explicit PoseInboxes(std::size_t tool_count) : tools(tool_count) {}
+/// The inboxes of a scene, [tool]. Shared, because a tool may be gone before a thread has left a pose for it.
+using PoseInboxes = std::vector<std::shared_ptr<PoseInbox>>;
 
-  std::deque<PoseInbox> tools;              ///< [tool]; a deque because an inbox does not move
-  std::atomic<std::uint64_t> malformed{0};  ///< poses of the scene that no inbox could take
+/// Returns inboxes for so many tools that are new.
+inline PoseInboxes new_inboxes(std::size_t tool_count) {
+  PoseInboxes out(tool_count);
+  for (std::shared_ptr<PoseInbox>& inbox : out) inbox = std::make_shared<PoseInbox>();
+  return out;
+}
+
+/// Poses of a scene that no inbox counts any more.
+struct PoseCounts {
+  std::atomic<std::uint64_t> malformed{0};                             ///< that none could take
+  std::atomic<std::uint64_t> received{0}, rejected{0}, superseded{0};  ///< for tools that are gone
+
+  /// Takes the counts of a tool that goes.
+  void add(const PoseInbox& inbox) {
+    received.fetch_add(inbox.received(), std::memory_order_relaxed);
+    rejected.fetch_add(inbox.rejected(), std::memory_order_relaxed);
+    superseded.fetch_add(inbox.superseded(), std::memory_order_relaxed);
+  }
 };
 
 }  // namespace tensormass::world

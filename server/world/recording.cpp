@@ -12,25 +12,32 @@
 
 namespace tensormass::world {
 
+RecordedTools::RecordedTools(const model::Model& model) {
+  for (const model::ToolModel& tool : model.tools) {
+    names.push_back(tool.name);
+    joints.push_back(tool.joints.size());
+  }
+}
+
 Recording::Recording(const model::Model& model, const RecordingOptions& options)
     : check_every_(options.check_every_steps),
       lease_(options.lease),
-      coming_(model.tools.size()),
-      has_coming_(model.tools.size(), false),
+      tools_(std::make_shared<const RecordedTools>(model)),
       steps_(options.room_for_steps),
-      // A step has at most one pose a tool, so where a step has room its poses have it too.
+      // A step has at most one pose a tool. Where tools are added, poses may run out of room before steps do.
       poses_(std::max<std::size_t>(1, model.tools.size()) * options.room_for_steps),
       checks_(options.room_for_checks),
       edits_(options.room_for_edits) {
   coming_edits_.reserve(kMaxEditsOfStep + 1);  // so that taking one cannot fail
-  for (const model::ToolModel& tool : model.tools) {
-    tool_names_.push_back(tool.name);
-    tool_joints_.push_back(tool.joints.size());
-  }
+}
+
+void Recording::go_on_with(std::shared_ptr<const RecordedTools> tools) noexcept {
+  tools_ = std::move(tools);
+  has_coming_.fill(false);
 }
 
 void Recording::take_pose(std::size_t tool, const ReceivedPose& received) {
-  TM_ASSERT(tool < coming_.size(), "a pose is for a tool of the scene");
+  TM_ASSERT(tool < tools_->names.size(), "a pose is for a tool of the scene");
   coming_[tool] = received;
   has_coming_[tool] = true;
 }
@@ -38,13 +45,13 @@ void Recording::take_pose(std::size_t tool, const ReceivedPose& received) {
 void Recording::take_edit(DoneEdit done) {
   const bool keeps_state =
       std::holds_alternative<Adjust>(*done.edit) || std::holds_alternative<ChangeScene>(*done.edit);
-  if (!keeps_state) std::fill(has_coming_.begin(), has_coming_.end(), false);
+  if (!keeps_state) has_coming_.fill(false);
   add_edit(coming_edits_, std::move(done));
 }
 
 /// Whether the rings take the coming step with its edits.
-bool Recording::has_room_for_step() const {
-  if (steps_.room() == 0 || edits_.room() < coming_edits_.size()) return false;
+bool Recording::has_room_for_step(std::size_t poses) const {
+  if (steps_.room() == 0 || poses_.room() < poses || edits_.room() < coming_edits_.size()) return false;
   std::size_t coming = 0;
   for (const DoneEdit& done : coming_edits_) coming += bytes_of(*done.edit);
   const std::size_t waiting = edit_bytes_.load(std::memory_order_relaxed);
@@ -54,22 +61,22 @@ bool Recording::has_room_for_step() const {
 void Recording::end_step(const StepEnd& end) {
   const std::uint64_t index = index_.load(std::memory_order_relaxed) + 1;
   const auto poses = static_cast<std::size_t>(std::count(has_coming_.begin(), has_coming_.end(), true));
-  if (has_room_for_step()) {
+  if (has_room_for_step(poses)) {
     const auto edits = static_cast<std::uint32_t>(coming_edits_.size());
     for (DoneEdit& done : coming_edits_) {
       edit_bytes_.fetch_add(bytes_of(*done.edit), std::memory_order_relaxed);
       edits_.back() = std::move(done);
       edits_.push();
     }
-    for (std::size_t tool = 0; tool < coming_.size(); ++tool) {
+    for (std::size_t tool = 0; tool < tools_->names.size(); ++tool) {
       if (!has_coming_[tool]) continue;
-      poses_.back() = {tool, coming_[tool]};
+      poses_.back() = {tool, coming_[tool], tools_};
       poses_.push();
     }
     steps_.back() = {end, index, static_cast<std::uint32_t>(poses), edits};
     steps_.push();
   }
-  std::fill(has_coming_.begin(), has_coming_.end(), false);
+  has_coming_.fill(false);
   coming_edits_.clear();
   index_.store(index, std::memory_order_release);
 }
@@ -147,7 +154,7 @@ bool Recording::take(v1::RecordSceneResponse& response) {
     for (std::uint32_t i = 0; i < step->poses; ++i) {
       const TakenPose* pose = poses_.front();
       TM_ASSERT(pose != nullptr, "poses are pushed before their step");
-      write_pose(tool_names_[pose->tool], pose->received, tool_joints_[pose->tool], *out.add_poses());
+      write_pose(pose->tools->names[pose->tool], pose->received, pose->tools->joints[pose->tool], *out.add_poses());
       poses_.pop();
     }
     edit_bytes += add_edits(*step, out, response);

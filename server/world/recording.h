@@ -1,9 +1,11 @@
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <mutex>
 #include <span>
 #include <string>
@@ -11,6 +13,7 @@
 #include <vector>
 
 #include "backend/backend.h"
+#include "core/limits.h"
 #include "core/recording_limits.h"
 #include "model/model.h"
 #include "tensormass/v1/control.pb.h"
@@ -30,8 +33,8 @@
 /// indices. The loop allocates nothing for a step. For a check it copies the state, as GetFields does; the reader
 /// hashes the copy.
 ///
-/// Edits come between two steps, and belong to the step that follows. The recording stays when an adjustment replaces
-/// the loop: the layout and the tools do not change.
+/// Edits come between two steps, and belong to the step that follows. The recording stays when a change replaces the
+/// world. Poses know whose tools theirs are.
 ///
 /// A scene has one recording. A reader looks for steps all the time, so one that has not for the length of a lease is
 /// stuck: its client takes no bytes. Whoever wants to record then evicts it.
@@ -54,6 +57,13 @@ struct StepEnd {
   bool diagnosed = false, rejected = false, recovered = false;
 };
 
+/// What a recording keeps of a scene's tools.
+struct RecordedTools {
+  explicit RecordedTools(const model::Model& model);
+  std::vector<std::string> names;
+  std::vector<std::size_t> joints;  ///< number of each
+};
+
 class Recording {
  public:
   Recording(const model::Model& model, const RecordingOptions& options);
@@ -64,6 +74,8 @@ class Recording {
   void take_pose(std::size_t tool, const ReceivedPose& received);
   /// An edit was done. Poses of steps that did not come are dropped if the state is another one now.
   void take_edit(DoneEdit done);
+  /// The scene has other tools from here on. Poses of steps that did not come are dropped.
+  void go_on_with(std::shared_ptr<const RecordedTools> tools) noexcept;
   /// Whether it can take another EditScene before the coming step.
   bool takes_change() const { return count_changes(coming_edits_) < kMaxChangesOfStep; }
   void end_step(const StepEnd& end);
@@ -103,25 +115,24 @@ class Recording {
   struct TakenPose {
     std::size_t tool = 0;
     ReceivedPose received;
+    std::shared_ptr<const RecordedTools> tools;
   };
   struct Check {
     std::uint64_t index = 0, step = 0;
     backend::RowState state;
     std::shared_ptr<const model::Model> model;  ///< that of the state: a cut brings another one
   };
-  bool has_room_for_step() const;
+  bool has_room_for_step(std::size_t poses) const;
   void add_lost(std::uint64_t next, v1::RecordSceneResponse& response);
   std::size_t add_edits(const Step& step, v1::RecordedStep& out, v1::RecordSceneResponse& response);
 
   const std::uint32_t check_every_;
   const std::chrono::steady_clock::duration lease_;
-  // Copies, because the reader may outlive the scene.
-  std::vector<std::string> tool_names_;
-  std::vector<std::size_t> tool_joints_;
 
   // The loop's own.
-  std::vector<ReceivedPose> coming_;  // [tool]
-  std::vector<bool> has_coming_;      // [tool]
+  std::shared_ptr<const RecordedTools> tools_;            // a copy, because the reader may outlive the scene
+  std::array<ReceivedPose, limits::kMaxTools> coming_{};  // [tool]
+  std::array<bool, limits::kMaxTools> has_coming_{};      // [tool]
   std::vector<DoneEdit> coming_edits_;
 
   Ring<Step> steps_;

@@ -13,15 +13,8 @@ namespace tensormass::world {
 
 namespace {
 
-Result<Replay::Step> read_step(const model::Model& model, const v1::RecordedStep& message, const std::string& where) {
-  Replay::Step out;
-  out.index = message.index();
-  out.step = message.step();
-  out.diagnosed = message.diagnosed();
-  out.rejected = message.rejected();
-  TM_ASSIGN_OR_RETURN(limit, model::read_number(message.cg_iteration_limit(), 1, model.cg_max_iterations,
-                                                where + ".cg_iteration_limit"));
-  out.cg_limit = static_cast<std::uint32_t>(limit);
+Result<void> read_poses_of(const model::Model& model, const v1::RecordedStep& message, const std::string& where,
+                           Replay::Step& out) {
   for (const v1::RecordedPose& pose : message.poses()) {
     const auto tool = std::find_if(model.tools.begin(), model.tools.end(),
                                    [&](const model::ToolModel& one) { return one.name == pose.tool(); });
@@ -31,6 +24,23 @@ Result<Replay::Step> read_step(const model::Model& model, const v1::RecordedStep
     TM_ASSIGN_OR_RETURN(received, read_pose(pose, *tool, fmt::format("{}.poses ({})", where, pose.tool())));
     out.poses.emplace_back(tool - model.tools.begin(), received);
   }
+  return {};
+}
+
+bool changes_tools(const EditPointer& edit) {
+  const auto* adjust = std::get_if<Adjust>(edit.get());
+  return adjust != nullptr && adjust->values.has_tools();
+}
+
+Result<Replay::Step> read_step(const model::Model& model, const v1::RecordedStep& message, const std::string& where) {
+  Replay::Step out;
+  out.index = message.index();
+  out.step = message.step();
+  out.diagnosed = message.diagnosed();
+  out.rejected = message.rejected();
+  TM_ASSIGN_OR_RETURN(limit, model::read_number(message.cg_iteration_limit(), 1, model.cg_max_iterations,
+                                                where + ".cg_iteration_limit"));
+  out.cg_limit = static_cast<std::uint32_t>(limit);
   return out;
 }
 
@@ -79,6 +89,7 @@ Result<Replay> read_replay(const model::Model& model, std::uint64_t scene_hash, 
   }
   Replay out;
   int next_edit = 0;
+  bool waits = false;
   for (int i = 0; i < request.steps_size(); ++i) {
     TM_ASSIGN_OR_RETURN(step, read_step(model, request.steps(i), fmt::format("steps[{}]", i)));
     if (i > 0 && step.index != out.steps.back().index + 1) {
@@ -88,7 +99,10 @@ Result<Replay> read_replay(const model::Model& model, std::uint64_t scene_hash, 
     step.checks = std::find(request.check_indices().begin(), request.check_indices().end(), step.index) !=
                   request.check_indices().end();
     TM_ASSIGN_OR_RETURN(edits, read_edits(request.steps(i), request, next_edit, fmt::format("steps[{}]", i)));
+    waits = waits || std::any_of(edits.begin(), edits.end(), changes_tools);
     step.edits = std::move(edits);
+    step.waits_for_tools = waits;
+    if (!waits) TM_RETURN_IF_ERROR(read_poses_of(model, request.steps(i), fmt::format("steps[{}]", i), step));
     out.steps.push_back(std::move(step));
   }
   if (next_edit != request.edits_size()) {
@@ -96,6 +110,16 @@ Result<Replay> read_replay(const model::Model& model, std::uint64_t scene_hash, 
                                request.edits(next_edit).index()));
   }
   return out;
+}
+
+Result<void> read_poses(const model::Model& model, const v1::ReplaySceneRequest& request, std::size_t first,
+                        std::span<Replay::Step> steps) {
+  for (std::size_t i = 0; i < steps.size(); ++i) {
+    if (!steps[i].waits_for_tools) continue;
+    const int place = static_cast<int>(first + i);
+    TM_RETURN_IF_ERROR(read_poses_of(model, request.steps(place), fmt::format("steps[{}]", place), steps[i]));
+  }
+  return {};
 }
 
 }  // namespace tensormass::world

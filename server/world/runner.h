@@ -87,8 +87,8 @@ class Runner {
 
   const std::string& name() const;
   const v1::SceneReport& report() const;
-  /// Constant while the scene is loaded.
-  const v1::Topology& topology() const;
+  /// Another one, with another version, each time that tools are added or removed.
+  std::shared_ptr<const v1::Topology> topology() const;
 
   Result<v1::SceneStatus> pause();
   Result<v1::SceneStatus> resume();
@@ -96,7 +96,8 @@ class Runner {
   Result<v1::SceneStatus> step(std::uint32_t count);
   Result<v1::SceneStatus> reset();
   /// Changes the scene between two steps, or not at all; see EditScene.
-  Result<v1::SceneStatus> edit(const v1::SceneEdit& change);
+  /// findings: those of tools that it adds
+  Result<v1::SceneStatus> edit(const v1::SceneEdit& change, std::vector<v1::Finding>* findings = nullptr);
   v1::SceneStatus status() const;
   /// Waits for no step.
   SceneMetrics metrics() const;

@@ -10,6 +10,7 @@
 
 #include "core/scalar.h"
 #include "world/guard.h"
+#include "world/tool_name.h"
 
 /// What happened in a scene, for people and scores. An edit is in edits.h; what it did is an event.
 namespace tensormass::world {
@@ -28,6 +29,8 @@ enum class EventKind : std::uint8_t {
   kCut,     ///< value: area [m²]
   kCutBegun,
   kCutEnded,  ///< value: area [m²]; work_j
+  kToolAdded,
+  kToolRemoved,
 };
 
 struct SceneEvent {
@@ -36,7 +39,8 @@ struct SceneEvent {
   EventKind kind = EventKind::kReset;
   std::uint64_t step = 0;            ///< steps of the scene when it happened
   std::uint32_t body = kNone;        ///< place in model::Model::bodies
-  std::uint32_t tool = kNone;        ///< place in model::Model::tools
+  std::uint32_t tool = kNone;        ///< place in model::Model::tools at that time
+  ToolName tool_name = {};           ///< empty: that of `tool`, which the log fills in
   std::uint32_t attachment = kNone;  ///< place in model::Model::attachments
   double value = 0;                  ///< follows from the kind
   double work_j = 0;                 ///< spent on fracture, for kCutEnded

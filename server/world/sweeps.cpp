@@ -42,15 +42,27 @@ void BladeSweeps::clear() {
   fracture_j_ = 0;
 }
 
-void BladeSweeps::go_on_with(const BladeSweeps& before) {
-  TM_ASSERT(before.blades_.size() == blades_.size(), "a cut leaves the blades of a scene");
-  for (std::size_t b = 0; b < blades_.size(); ++b) {
-    blades_[b].positions = before.blades_[b].positions;
-    blades_[b].open = before.blades_[b].open;
-    std::copy(before.blades_[b].room.begin(), before.blades_[b].room.end(), blades_[b].room.begin());
+void BladeSweeps::go_on_with(const BladeSweeps& before, std::span<const std::size_t> places) {
+  for (std::size_t c = 0, first = 0; c < courses_.size(); ++c) {
+    const std::uint32_t tool = courses_[c].tool;
+    const auto course = std::find_if(before.courses_.begin(), before.courses_.end(),
+                                     [&](const Course& one) { return one.tool == places[tool]; });
+    while (blades_[first].course != c) ++first;
+    if (course == before.courses_.end()) continue;  // a new tool
+    courses_[c] = *course;
+    courses_[c].tool = tool;
+    const auto place = static_cast<std::size_t>(course - before.courses_.begin());
+    std::size_t b = first;  // blades of a tool follow each other
+    for (const Blade& blade : before.blades_) {
+      if (blade.course != place) continue;
+      TM_ASSERT(b < blades_.size() && blades_[b].course == c, "a tool keeps its blades");
+      blades_[b].positions = blade.positions;
+      blades_[b].open = blade.open;
+      std::copy(blade.room.begin(), blade.room.end(), blades_[b].room.begin());
+      ++b;
+    }
   }
-  std::copy(before.courses_.begin(), before.courses_.end(), courses_.begin());
-  news_ = before.news_;
+  news_ = before.news_ && !blades_.empty();
   fracture_j_ = before.fracture_j_;
 }
 

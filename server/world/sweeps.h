@@ -49,7 +49,9 @@ class BladeSweeps {
     return {news_of_courses_.data(), std::exchange(course_count_, std::size_t{0})};
   }
   /// Goes on with what another world of the scene has swept.
-  void go_on_with(const BladeSweeps& before);
+  ///
+  ///   places   of this world's tools among those before; others are new
+  void go_on_with(const BladeSweeps& before, std::span<const std::size_t> places);
 
  private:
   static constexpr std::uint32_t kNoBody = 0xFFFFFFFFu;

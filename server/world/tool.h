@@ -4,7 +4,10 @@
 #include <array>
 #include <cstdint>
 #include <limits>
+#include <span>
 
+#include "core/assert.h"
+#include "core/limits.h"
 #include "core/scalar.h"
 #include "model/model.h"
 #include "physics/tool/pose.h"
@@ -64,6 +67,33 @@ struct ToolReading {
   bool gives_way = false;   ///< it is not where the hand has moved it (hold.h)
   bool recovering = false;  ///< see World::recovering; or the tool comes back into contact after it
   double level = 0;         ///< share of its power that it used in this step, 0 to 1
+};
+
+/// Readings of all tools of a scene. A value with room for as many as a scene may have: to change their number
+/// allocates nothing, and a copy takes those that there are.
+class ToolReadings {
+ public:
+  ToolReadings() = default;
+  explicit ToolReadings(std::span<const ToolReading> readings) { *this = readings; }
+  ToolReadings(const ToolReadings& other) { *this = other.all(); }
+  ToolReadings& operator=(const ToolReadings& other) { return *this = other.all(); }
+  ToolReadings& operator=(std::span<const ToolReading> readings) {
+    TM_ASSERT(readings.size() <= room_.size(), "a scene has no more tools");
+    std::copy(readings.begin(), readings.end(), room_.begin());
+    size_ = readings.size();
+    return *this;
+  }
+
+  std::span<const ToolReading> all() const { return {room_.data(), size_}; }
+  std::size_t size() const { return size_; }
+  bool empty() const { return size_ == 0; }
+  const ToolReading& operator[](std::size_t tool) const { return room_[tool]; }
+  ToolReading* begin() { return room_.data(); }
+  ToolReading* end() { return room_.data() + size_; }
+
+ private:
+  std::array<ToolReading, limits::kMaxTools> room_{};
+  std::size_t size_ = 0;
 };
 
 /// The motion of one tool, step by step.

@@ -301,6 +301,9 @@ BoundCheck World::repeat_step(std::uint32_t parts) {
 /// Takes the bound that a trial left into the event of the step.
 void World::take_event(const BoundCheck& check) {
   if (!has_event_) event_ = {.step = step_count_ + 1, .first = check, .last = check};
+  if (!has_event_ && check.breach == Breach::kEnclosed) {
+    event_.tool = ToolName(model_->tools[static_cast<std::size_t>(check.value)].name);
+  }
   has_event_ = true;
   event_.last = check;
 }

@@ -87,7 +87,7 @@ TEST_F(StateKeeperTest, ScenesComeBackWithTheirState) {
   {
     Process process(folder);
     const auto stepped = process.load(scene_named("stepped"));
-    topology = stepped->topology().version();
+    topology = stepped->topology()->version();
     v1::SceneAdjustments softer;
     softer.add_bodies()->set_body("beam");
     softer.mutable_bodies(0)->set_stiffness_factor(0.5);
@@ -108,7 +108,7 @@ TEST_F(StateKeeperTest, ScenesComeBackWithTheirState) {
   EXPECT_EQ(stepped->status().step(), 7u);
   EXPECT_EQ(stepped->positions("beam")->positions(), positions);
   EXPECT_EQ(stepped->adjust({})->adjustments().bodies(0).stiffness_factor(), 0.5);
-  EXPECT_GT(stepped->topology().version(), topology) << "clients see that frames are of another process";
+  EXPECT_GT(stepped->topology()->version(), topology) << "clients see that frames are of another process";
   EXPECT_EQ((*process.registry.find("paused"))->status().state(), v1::SceneStatus::STATE_PAUSED);
   EXPECT_EQ((*process.registry.find("running"))->status().state(), v1::SceneStatus::STATE_RUNNING);
 

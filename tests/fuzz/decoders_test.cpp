@@ -327,11 +327,11 @@ class CutTarget final : public MessageTarget<v1::SceneEdit>, OfScene {
   }
 };
 
-/// Ablations, severings and adjusted values, as the control plane takes them.
+/// Ablations, severings, tools and adjusted values, as the control plane takes them.
 class EditTarget final : public MessageTarget<v1::RecordedEdit>, OfScene {
  public:
   EditTarget() : OfScene(edited(false)) {
-    v1::RecordedEdit ablates, severs, adjusts;
+    v1::RecordedEdit ablates, severs, adjusts, adds;
     v1::Ablation& ablation = *ablates.mutable_scene_edit()->add_ablations();
     ablation.set_body("beam");
     for (const std::uint32_t element : {1, 7, 11}) ablation.add_elements(element);
@@ -344,7 +344,11 @@ class EditTarget final : public MessageTarget<v1::RecordedEdit>, OfScene {
     body.set_stiffness_factor(2);
     body.set_rayleigh_mass_per_s(1);
     tests::set(*adjusts.mutable_adjust()->mutable_gravity_m_per_s2(), 0, -9.81, 0);
-    seeds_ = {ablates, severs, adjusts};
+    v1::Scene with;
+    tests::add_probe(with, "second", 0.01, 0, 1, 0);
+    *adds.mutable_scene_edit()->add_add_tools() = with.tools(0);
+    adds.mutable_scene_edit()->add_remove_tools("probe");
+    seeds_ = {ablates, severs, adjusts, adds};
   }
 
  private:

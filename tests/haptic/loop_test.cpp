@@ -130,6 +130,29 @@ TEST(Loop, TellsWhoElseClaimsTheTool) {
   }
 }
 
+/// A hand whose tool is removed feels nothing and waits; it feels the tool that comes in its place.
+TEST(Loop, WaitsForAToolThatWasRemoved) {
+  for (const bool comes_back : {false, true}) {
+    Bench bench;
+    std::atomic<bool> removed = false;
+    int after = 0;
+    bench.link.answer = [&, answers = 0](const OutgoingPose& pose) mutable {
+      Feedback feedback = answer_to(pose, pose.sequence);
+      ++answers;
+      const bool gone = answers > 3 && (!comes_back || answers < 6);
+      feedback.removed = gone;
+      after = removed ? after + 1 : after;
+      return gone && answers > 4 ? std::nullopt : std::optional(feedback);
+    };
+    LoopOptions o = options(0.01);
+    o.removed = &removed;
+    const auto report = bench.run(o);
+    ASSERT_TRUE(report) << report.error().message;
+    EXPECT_EQ(removed, !comes_back);
+    EXPECT_GT(after, 0) << "the loop goes on";
+  }
+}
+
 TEST(Loop, EndsWithoutForce) {
   Bench bench;
   bench.answer_with({0.0, 0.0, 1.0});

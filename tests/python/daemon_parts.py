@@ -13,13 +13,13 @@ from tensormass._shared import processes
 
 
 @contextlib.contextmanager
-def small_daemon() -> Iterator[tm.Server]:
+def small_daemon(*, zenoh: bool = False) -> Iterator[tm.Server]:
     """A daemon on one thread. Tests that need it are skipped without a build."""
     try:
         processes.find_program("tensormassd", "TENSORMASSD")
     except tm.NotFoundError as not_built:
         pytest.skip(str(not_built))
-    with tm.launch(backend="cpu", cpu_threads=1, zenoh=False) as server:
+    with tm.launch(backend="cpu", cpu_threads=1, zenoh=zenoh) as server:
         yield server
 
 

@@ -255,3 +255,27 @@ def test_options_of_running_scenes_are_refused(
 ) -> None:
     assert main(["view", str(path), *option]) == 1
     assert f"{option[0]}: is for running scenes" in capsys.readouterr().err
+
+
+def test_frames_are_shown_with_the_tools_of_their_time(tmp_path: Path) -> None:
+    later = stream_pb2.Topology()
+    later.CopyFrom(TOPOLOGY)
+    later.version += 5
+    del later.tools[:]
+    later.tools.add(name="hook", radius_m=0.01)
+    path = tmp_path / "tools.mcap"
+    with RecordingWriter(path) as writer:
+        writer.add("/scene", scene_pb2.Scene(name="liver"), 1000)
+        writer.add("/start", recording_pb2.RecordingStart(scene="liver"))
+        for sequence, topology in enumerate((TOPOLOGY, later, TOPOLOGY, None), start=1):
+            if topology is not None:
+                writer.add("/topology", topology)
+            frame = recorded_frame(sequence, sequence)
+            frame.topology_version = topology.version if topology is not None else 77
+            writer.add("/frames", frame)
+    index = RecordingIndex(path)
+    assert len(index.times_s) == 3, "one is of a topology that is not recorded"
+    shown = [index.topology_of(index.frame(i)) for i in range(3)]
+    assert [[tool.name for tool in topology.tools] for topology in shown] == [["probe"], ["hook"], ["probe"]]
+    assert [topology.version for topology in shown] == [1000, 1005, 1000]
+    assert all(topology.bodies == TOPOLOGY.bodies for topology in shown)

@@ -91,6 +91,23 @@ def test_a_stopped_daemon_keeps_its_last_step(trainer: Trainer) -> None:
         assert server.scene("held").status().step == 5
 
 
+def test_tools_that_were_added_come_back(trainer: Trainer) -> None:
+    trainer.start()
+    with tm.connect(trainer.endpoints["control"]) as server:
+        scene = server.load("demo", name="held", lockstep=True)
+        scene.step(2)
+        scene.add_tool("hook", "spherical_probe", position_m=(0.02, 0.02, 0.3), radius_m=0.01)
+        scene.remove_tool("probe")
+        scene.step(3)
+        shown = scene.frame().positions
+        assert trainer.stop() == 0
+        trainer.start()
+        assert [tool.name for tool in scene.topology().tools] == ["hook"]
+        assert scene.status().step == 5
+        np.testing.assert_array_equal(scene.frame().positions, shown)
+        assert scene.step(1).tools[0].tool == "hook"
+
+
 def test_a_damaged_snapshot_is_named_and_the_one_before_is_taken(trainer: Trainer) -> None:
     trainer.start()
     with tm.connect(trainer.endpoints["control"]) as server:

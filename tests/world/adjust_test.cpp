@@ -60,7 +60,7 @@ TEST_P(Adjusting, GoesOnFromTheStateAndKeepsTheTopology) {
   const auto runner = load(sagging_beam());
   ASSERT_TRUE(runner->step(20));
   const std::string before = positions(*runner);
-  const std::uint64_t version = runner->topology().version();
+  const std::uint64_t version = runner->topology()->version();
   v1::Frame frame;
   ASSERT_TRUE(runner->take_frame(frame));
   const std::uint64_t sequence = frame.sequence();
@@ -72,7 +72,7 @@ TEST_P(Adjusting, GoesOnFromTheStateAndKeepsTheTopology) {
   EXPECT_EQ(adjusted->adjustments().bodies(0).stiffness_factor(), 10);
   EXPECT_EQ(adjusted->adjustments().bodies(0).rayleigh_mass_per_s(), 1);
   EXPECT_EQ(positions(*runner), before);
-  EXPECT_EQ(runner->topology().version(), version);
+  EXPECT_EQ(runner->topology()->version(), version);
   ASSERT_TRUE(runner->take_frame(frame));
   EXPECT_GT(frame.sequence(), sequence) << "viewers drop what is not newer";
   const int signals_before = signals;

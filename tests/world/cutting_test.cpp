@@ -109,7 +109,7 @@ class Cutting : public tests::OnRunner {
     const auto frame = runner.frame();
     EXPECT_TRUE(frame);
     EXPECT_EQ(frame->revision(), changes.revision());
-    return View(runner.topology(), changes, *frame);
+    return View(*runner.topology(), changes, *frame);
   }
 };
 TM_ON_EACH_BACKEND(Cutting);

@@ -29,6 +29,7 @@ v1::SceneAdjustments stiffness(double factor) {
 }
 
 DoneEdit adjust(double factor) { return {std::make_shared<const Edit>(Adjust{stiffness(factor)}), 7}; }
+DoneEdit change_tools(double factor) { return {std::make_shared<const Edit>(Adjust{stiffness(factor), true}), 7}; }
 DoneEdit restore(std::string snapshot) { return {std::make_shared<const Edit>(Restore{std::move(snapshot)}), 3}; }
 DoneEdit burn(std::uint32_t element) {
   v1::SceneEdit edit;
@@ -72,6 +73,10 @@ TEST(EditsOfAStep, KeepWhatTheNextStepDependsOn) {
   EXPECT_EQ(after({burn(1), burn(2)}), "x1x2") << "each counts, in its order";
   EXPECT_EQ(after({burn(1), adjust(2), burn(3), adjust(4)}), "x1x34");
   EXPECT_EQ(after({adjust(2), burn(1), reset(), burn(3)}), "20x3");
+  EXPECT_EQ(after({adjust(2), change_tools(3), adjust(4), change_tools(5), adjust(6)}), "356")
+      << "a tool that went and came again is another one";
+  EXPECT_EQ(after({change_tools(3), burn(1), change_tools(5), reset()}), "50") << "a reset places all tools";
+  EXPECT_EQ(count_changes({adjust(1), change_tools(3), burn(1)}), 2u);
 }
 
 TEST(EditsOfAStep, EachKindHasAMessage) {

@@ -128,11 +128,11 @@ TEST_P(SceneEvents, TellOfAdjustmentsResetsAndRestores) {
   ASSERT_TRUE(runner->reset());
   ASSERT_TRUE(runner->restore(snapshot->snapshot()));
   v1::SceneAdjustments softer;
-  softer.add_bodies()->set_body(runner->topology().bodies(0).name());
+  softer.add_bodies()->set_body(runner->topology()->bodies(0).name());
   softer.mutable_bodies(0)->set_stiffness_factor(0.5);
   ASSERT_TRUE(runner->adjust(softer));
   ASSERT_TRUE(runner->take_events(events));
-  EXPECT_EQ(events.topology_version(), runner->topology().version());
+  EXPECT_EQ(events.topology_version(), runner->topology()->version());
   std::vector<std::pair<int, std::uint64_t>> found;
   for (const v1::SceneEvent& event : events.events()) found.emplace_back(event.kind(), event.step());
   using Kind = v1::SceneEvent;

@@ -17,9 +17,9 @@
 #include "support/recorded.h"
 #include "world/runner.h"
 
-/// Random edits in a row: material burnt away, springs severed, values adjusted under a tool that presses, resets,
-/// snapshots and restored ones. Nothing fails but what the scene refuses in words; mass is balanced after each; the
-/// recording is repeated to the last bit; memory stays flat.
+/// Random edits in a row: material burnt away, springs severed, values adjusted under a tool that presses, tools that
+/// come and go, resets, snapshots and restored ones. Nothing fails but what the scene refuses in words; mass is
+/// balanced after each; the recording is repeated to the last bit; memory stays flat.
 ///
 /// TENSORMASS_RANDOM_EDITS says how many. 10,000 of them: docs/decisions/recording.md
 namespace tensormass::world {
@@ -100,6 +100,8 @@ class RandomScene {
         return sever(runner);
       case 8:
         return move(runner);
+      case 9:
+        return change_tools(runner);
       default:
         return burn(runner);
     }
@@ -150,6 +152,30 @@ class RandomScene {
     EXPECT_TRUE(runner.submit_pose("probe", pose));
   }
 
+  /// Adds a tool, or removes one that was added; then moves one of them.
+  void change_tools(Runner& runner) {
+    v1::SceneEdit edit;
+    if (tools_.empty() || (tools_.size() < 4 && random_() % 2 == 0)) {
+      tools_.push_back("tool" + std::to_string(random_() % 3));
+      v1::Scene with;
+      tests::add_probe(with, tools_.back(), 0.01 + 0.01 * uniform(), 0.3 * uniform(), 0.13, 0.05);
+      with.mutable_tools(0)->set_friction_coefficient(random_() % 2 == 0 ? 0 : 0.2);
+      *edit.add_add_tools() = with.tools(0);
+    } else {
+      const std::size_t i = random_() % tools_.size();
+      edit.add_remove_tools(tools_[i]);
+      tools_.erase(tools_.begin() + static_cast<std::ptrdiff_t>(i));
+    }
+    if (const auto changed = runner.edit(edit); !changed) {
+      EXPECT_EQ(changed.error().code, ErrorCode::kAlreadyExists) << changed.error().message;
+      tools_.pop_back();
+    }
+    if (tools_.empty()) return;
+    v1::ToolPose pose;
+    tests::set(*pose.mutable_position_m(), 0.1 + 0.1 * uniform(), 0.105 + 0.02 * uniform(), 0.05);
+    EXPECT_TRUE(runner.submit_pose(tools_.back(), pose));
+  }
+
   void burn(Runner& runner) {
     const std::size_t b = random_() % 2;
     v1::SceneEdit edit;
@@ -176,7 +202,7 @@ class RandomScene {
 
   std::mt19937 random_;
   std::vector<std::vector<double>> volumes_, kept_;  // [body, element]
-  std::vector<std::string> names_;
+  std::vector<std::string> names_, tools_;           // tools that were added
   std::optional<Kept> snapshot_;
 };
 

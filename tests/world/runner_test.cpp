@@ -278,7 +278,7 @@ TEST_P(Running, LeavesFramesAtTheStatedRate) {
       ++frames;
       EXPECT_EQ(frame.sequence(), last_sequence + 1);
       EXPECT_EQ(frame.step() % 4, 0u) << "after the one at rest";
-      EXPECT_EQ(frame.topology_version(), runner->topology().version());
+      EXPECT_EQ(frame.topology_version(), runner->topology()->version());
       EXPECT_EQ(frame.tools_size(), 1);
       last_sequence = frame.sequence();
       last_step = frame.step();
@@ -307,7 +307,7 @@ TEST_P(Running, FrameIsOfTheLastStep) {
   const auto rest = runner->frame();
   ASSERT_TRUE(rest);
   EXPECT_EQ(rest->step(), 0u);
-  EXPECT_EQ(rest->positions().size(), 12u * runner->topology().bodies(0).vertex_count());
+  EXPECT_EQ(rest->positions().size(), 12u * runner->topology()->bodies(0).vertex_count());
   ASSERT_TRUE(runner->step(7));
   const auto later = runner->frame();
   ASSERT_TRUE(later);

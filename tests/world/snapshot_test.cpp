@@ -109,7 +109,7 @@ class Snapshots : public tests::OnRunner {
       const auto stepped = runner.step(1);
       EXPECT_TRUE(stepped) << stepped.error().message;
     }
-    auto positions = runner.positions(runner.topology().bodies(0).name());
+    auto positions = runner.positions(runner.topology()->bodies(0).name());
     auto feedback = runner.feedback("probe");
     if (!positions || !feedback) throw std::runtime_error("no state");
     const v1::SceneStatus status = runner.status();

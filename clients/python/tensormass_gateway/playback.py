@@ -34,6 +34,7 @@ class _Shown(NamedTuple):
     """A frame of the recording with everything that belongs to it."""
 
     frame: stream_pb2.Frame
+    topology: stream_pb2.Topology
     status: stream_pb2.SceneStatus
     changes: changes_pb2.SurfaceChanges | None
     events: event_pb2.SceneEvents | None
@@ -200,6 +201,8 @@ class Playback:
                 self._tell(str(error))
             else:
                 self._tell("")
+                if self._streams.topology is None or self._streams.topology.version != shown.topology.version:
+                    self._streams.set_topology(shown.topology)
                 self._publish_changes(shown)
                 self._publish_status(shown.status, playing=playing)
                 self._publish_frame(shown.frame)
@@ -211,14 +214,16 @@ class Playback:
     def _read(self, index: int) -> _Shown:
         frame = self._recording.frame(index)
         status = self._recording.status(index) or stream_pb2.SceneStatus(server_time_ns=frame.server_time_ns)
-        return _Shown(frame, status, self._recording.changes(frame), self._recording.events(frame))
+        topology = self._recording.topology_of(frame)
+        return _Shown(frame, topology, status, self._recording.changes(frame), self._recording.events(frame))
 
     def _publish_changes(self, shown: _Shown) -> None:
         """Publishes surface and events as they were at a frame, which may be earlier than what is on show."""
         version = self._recording.topology.version
         try:
-            as_loaded = changes_pb2.SurfaceChanges(topology_version=version)
-            self._streams.set_changes(shown.changes or as_loaded, may_go_back=True)
+            changes = shown.changes or changes_pb2.SurfaceChanges()
+            changes.topology_version = shown.topology.version  # they may be older than the tools
+            self._streams.set_changes(changes, may_go_back=True)
         except ValueError as error:
             self._tell(str(error))
         message = self._streams.message(Stream.EVENTS, shown.events or event_pb2.SceneEvents(topology_version=version))

@@ -23,8 +23,8 @@ class Mark(NamedTuple):
 
     time_s: float
     kind: str
-    """ablated, adjust, contact, cut, cut_begun, cut_ended, guard, piece_free, recovery, reset, restore, severed or
-    stop"""
+    """ablated, adjust, contact, cut, cut_begun, cut_ended, guard, piece_free, recovery, reset, restore, severed, stop,
+    tool_added or tool_removed"""
     text: str
 
 
@@ -46,6 +46,10 @@ class Recording(Protocol):
     @property
     def marks(self) -> Sequence[Mark]: ...
     def frame(self, index: int) -> stream_pb2.Frame: ...
+    def topology_of(self, frame: stream_pb2.Frame) -> stream_pb2.Topology:
+        """Returns the topology of a frame: that of the recording, perhaps with other tools."""
+        ...
+
     def status(self, index: int) -> stream_pb2.SceneStatus | None:
         """Returns the last status before a frame; None if there was none."""
         ...

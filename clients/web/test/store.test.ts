@@ -1,6 +1,7 @@
 import { create } from "@bufbuild/protobuf";
 import { beforeEach, describe, expect, it } from "vitest";
 
+import { SceneEventsSchema } from "../src/generated/tensormass/v1/event_pb";
 import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
 import { decodeFrame, decodeTopology } from "../src/stream/decode";
 import { SceneStore, STATUS_HOLDS_NS } from "../src/stream/store";
@@ -168,6 +169,33 @@ describe("SceneStore", () => {
     store.setTopology(topology(30n));
     expect(store.status?.serverTimeNs).toBe(31n);
     expect(store.findings.list().map(({ message }) => message)).toEqual(["too soft"]);
+  });
+
+  it("keeps what it knows of the bodies when tools come and go", () => {
+    const withTools = (version: bigint, ...names: string[]) =>
+      decodeTopology(topologyBytes({ version, tools: names.map((name) => ({ name, radiusM: 0.01, tipOffsetM: {} })) }));
+    store.setFrame(frame(1n));
+    store.setZero();
+    store.setStatus(status(20n, "too fast"));
+    store.setEvents(create(SceneEventsSchema, { topologyVersion: 7n, events: [{ sequence: 1n }] }));
+    const { sceneVersion, reference } = store;
+    expect(sceneVersion).toBe(7n);
+    store.setTopology(withTools(9n, "probe", "hook"));
+    expect(store.topology!.tools.map(({ name }) => name)).toEqual(["probe", "hook"]);
+    expect(store).toMatchObject({ sceneVersion, reference, frame: null });
+    expect(store.status?.serverTimeNs).toBe(20n);
+    expect(() => store.setFrame(frame(2n))).toThrow("belongs to topology 7");
+    store.setEvents(create(SceneEventsSchema, { topologyVersion: 7n, events: [{ sequence: 1n }, { sequence: 2n }] }));
+    expect(store.events).toHaveLength(2);
+    store.setTopology(withTools(10n, "hook"));
+    expect(store).toMatchObject({ sceneVersion, reference });
+
+    store.setTopology(topology(30n)); // the scene was loaded again, or has other bodies
+    store.setTopology(decodeTopology(topologyBytes({ version: 31n, bodies: [] })));
+    expect(store).toMatchObject({ sceneVersion: 31n, reference: null, events: [] });
+    store.setEvents(create(SceneEventsSchema, { topologyVersion: 7n, events: [{ sequence: 3n }] }));
+    store.setEvents(create(SceneEventsSchema, { topologyVersion: 31n }));
+    expect(store.events).toHaveLength(0);
   });
 
   it("forgets findings of later steps when a recording goes back", () => {

@@ -28,8 +28,8 @@ class Event:
     step: int
     #: On the server's clock, nanoseconds since the Unix epoch.
     server_time_ns: int
-    #: ablated, piece_free, severed, broken, adjusted, reset, restored, guard, held, cut, cut_begun or cut_ended; its
-    #: number if of a newer daemon.
+    #: ablated, piece_free, severed, broken, adjusted, reset, restored, guard, held, cut, cut_begun, cut_ended,
+    #: tool_added or tool_removed; its number if of a newer daemon.
     kind: str
     #: Name of the body; empty: none in particular.
     body: str

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -28,14 +28,16 @@ from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
 from tensormass._src.durations import DurationHistogram
 from tensormass._src.events import EventStream
 from tensormass._src.fields import FieldName, Fields, field_numbers
+from tensormass._src.frame_stream import FrameStream
 from tensormass._src.frames import Feedback, Frame, find_tool, fits
 from tensormass._src.poses import PoseSender, PoseSequence
-from tensormass._src.scene_edits import cut_of, edit_of
+from tensormass._src.scene_edits import cut_of, edit_of, tools_of
 from tensormass._src.scene_report import REPORT_FIELDS, report_path, write_report
 from tensormass._src.step_record import StepRecord
-from tensormass._src.streams import Closing, Transport
+from tensormass._src.streams import Transport
 from tensormass._src.subscriptions import Subscription
-from tensormass.v1 import changes_pb2, control_pb2, event_pb2, scene_pb2, stream_pb2
+from tensormass._src.tools import tool_of
+from tensormass.v1 import adjustment_pb2, changes_pb2, control_pb2, event_pb2, finding_pb2, scene_pb2, stream_pb2
 
 
 class SceneHandle:
@@ -418,6 +420,45 @@ class SceneHandle:
 
     # --- tools --------------------------------------------------------------------------------------------------------
 
+    def add_tool(self, name: str, kind: str, *, position_m: Vector, **fields: Any) -> list[finding_pb2.Finding]:  # noqa: ANN401
+        """Adds a tool while the scene goes on. It fades into contact within 0.1 s, so that it does not strike tissue.
+
+            scene.add_tool("hook", "capsule", position_m=(0, 0, 0.1), radius_m=0.002, length_m=0.1)
+
+        Takes as long as a load, but the scene stops for the time of a few steps only. A reset keeps the tool.
+
+        Args:
+            position_m: where it is until its first pose, [3] m.
+            fields: the other arguments of `Scene.add_tool`.
+
+        Returns:
+            Findings that concern it, as at a load.
+
+        Raises:
+            AlreadyExistsError: the scene has a tool of this name.
+            InvalidArgumentError: the scene could not be loaded with it, too.
+            ResourceExhaustedError: it is one tool too many.
+        """
+        tool = tool_of(name, kind, position_m, fields)
+        return list(self._change_tools(tools_of([tool], [])).findings)
+
+    def remove_tool(self, *names: str) -> stream_pb2.SceneStatus:
+        """Removes tools while the scene goes on. They let go of the tissue at once, and the names are free again.
+
+        Poses for them are refused from then on. The other tools go on as they were.
+
+        Raises:
+            NotFoundError: no such tool; then none is removed.
+        """
+        return self._change_tools(tools_of([], names)).status
+
+    def _change_tools(self, edit: adjustment_pb2.SceneEdit) -> control_pb2.EditSceneResponse:
+        self._followed = None
+        for name in edit.remove_tools:
+            self._poses.pop(name, None)
+        request = control_pb2.EditSceneRequest(scene=self.name, edit=edit)
+        return self._connection.call("EditScene", request, timeout_s=LOAD_TIMEOUT_S)
+
     def move_tool(
         self,
         name: str,
@@ -521,79 +562,3 @@ def _read(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise NotFoundError(f"{path}: {error.strerror}") from error
-
-
-def _follows(frame: Frame, first: Frame) -> bool:
-    """Returns whether a frame of the bus is newer than `first`, which a call returned.
-
-    The bus may still bring frames that were published before the call, and once more the state that the call returned.
-    Counts decide, because the server's clock may be set back. The call returns the sequence of the last frame that was
-    published before it, and at most one frame waited to be published then.
-    """
-    if frame.topology.version != first.topology.version:
-        return True
-    if frame.sequence != first.sequence + 1:
-        return frame.sequence > first.sequence
-    # That one may have waited. A reset or a pause publishes a step number again, at another time.
-    return frame.step > first.step or frame.server_time_ns > first.server_time_ns
-
-
-class FrameStream(Closing, Iterator[Frame]):
-    """Iterates over the frames of a scene; see `SceneHandle.frames`."""
-
-    def __init__(
-        self,
-        scene: SceneHandle,
-        subscription: Subscription[stream_pb2.Frame],
-        timeout_s: float,
-        follow_changes: Callable[[], Subscription[changes_pb2.SurfaceChanges]] | None = None,
-    ) -> None:
-        """Makes a stream.
-
-        Args:
-            follow_changes: subscribes to the changes of the surface; called with the first frame of a changed one.
-        """
-        #: Number of frames that newer ones replaced before they were taken.
-        self.dropped_count = 0
-        self._scene = scene
-        self._subscription = subscription
-        self._follow_changes = follow_changes
-        self._changes: Subscription[changes_pb2.SurfaceChanges] | None = None
-        self._timeout_s = timeout_s
-        # The frame of the call at the start, and the newest one that came, whether it was handed out or not.
-        self._first: Frame | None = None
-        self._last: Frame | None = None
-
-    def __next__(self) -> Frame:
-        if self._first is None or self._last is None:
-            self._first = self._last = self._scene.frame()
-            return self._first
-        while True:
-            message = self._subscription.receive(self._timeout_s)
-            if message.revision > 0:
-                self._read_changes()
-            frame = self._scene._decode(message)
-            if frame is None:
-                continue
-            if frame.topology.version == self._last.topology.version:
-                self.dropped_count += max(0, frame.sequence - self._last.sequence - 1)
-            self._last = frame
-            if _follows(frame, self._first):
-                return frame
-
-    def _read_changes(self) -> None:
-        """Takes the newest changes. What the bus repeats for a late subscriber may take a second, so asks once, too."""
-        if self._changes is None:
-            if self._follow_changes is None:
-                return
-            self._changes = self._follow_changes()
-            self._scene.frame()
-        changes = self._changes.newest()
-        if changes is not None:
-            self._scene._take_changes(changes)
-
-    def close(self) -> None:
-        """Ends the subscription."""
-        self._subscription.close()
-        if self._changes is not None:
-            self._changes.close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import cast
+from typing import Any, cast
 
 from google.protobuf.descriptor import FieldDescriptor
 
@@ -20,22 +20,22 @@ def make_tool(
     kind: str,
     *,
     position_m: Vector,
-    orientation: Vector | None,
-    max_speed_m_per_s: float | None,
-    friction_coefficient: float,
-    joint_values: Vector,
-    fixed: bool,
-    mass_kg: float | None,
-    coupling_stiffness_n_per_m: float | None,
-    coupling_damping_n_s_per_m: float | None,
-    contact_method: str | None,
-    max_force_n: float | None,
-    max_torque_n_m: float | None,
-    max_joint_load: float | None,
-    cautery_power_w: float | None,
-    cautery_efficiency: float | None,
-    dissection_reach_m: float | None,
-    dissection_length_m: float | None,
+    orientation: Vector | None = None,
+    max_speed_m_per_s: float | None = None,
+    friction_coefficient: float = 0.0,
+    joint_values: Vector = (),
+    fixed: bool = False,
+    mass_kg: float | None = None,
+    coupling_stiffness_n_per_m: float | None = None,
+    coupling_damping_n_s_per_m: float | None = None,
+    contact_method: str | None = None,
+    max_force_n: float | None = None,
+    max_torque_n_m: float | None = None,
+    max_joint_load: float | None = None,
+    cautery_power_w: float | None = None,
+    cautery_efficiency: float | None = None,
+    dissection_reach_m: float | None = None,
+    dissection_length_m: float | None = None,
     shape: dict[str, float | Vector | TriangleSurface],
 ) -> scene_pb2.Tool:
     """Returns a tool of a kind. See Scene.add_tool."""
@@ -88,6 +88,14 @@ def make_tool(
             except (TypeError, ValueError):
                 raise InvalidArgumentError(f"{name}.{field}: expected a number, got {value!r}") from None
     return tool
+
+
+def tool_of(name: str, kind: str, position_m: Vector, fields: dict[str, Any]) -> scene_pb2.Tool:
+    """Returns a tool. fields: what make_tool takes besides; the others are those of the kind's message."""
+    own = (make_tool.__kwdefaults__ or {}).keys()
+    given = {field: value for field, value in fields.items() if field in own}
+    shape = {field: value for field, value in fields.items() if field not in own}
+    return make_tool(name, kind, position_m=position_m, shape=shape, **given)
 
 
 def _kinds() -> list[str]:

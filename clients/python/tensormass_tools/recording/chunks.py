@@ -49,7 +49,7 @@ MAX_SMALL_BYTES = 16 << 20
 #: Bytes of a message in channels whose messages are small; a longer one is damage. Read, a message takes more memory.
 MAX_MESSAGE_BYTES = {"/inputs": 1 << 20, "/checks": 64 << 10, "/lost": 1 << 10, "/status": 1 << 20, "/events": 1 << 20}
 #: Edits between two steps (kMaxEditsOfStep): a recording has those on which the next step depends.
-MAX_EDITS_OF_STEP = 3
+MAX_EDITS_OF_STEP = 67
 #: Schemas and channels of a file. We write eleven of each.
 MAX_CHANNELS = 1000
 

@@ -60,6 +60,8 @@ MARKED_EVENTS = frozenset(
         event_pb2.SceneEvent.KIND_CUT_ENDED,
         event_pb2.SceneEvent.KIND_PIECE_FREE,
         event_pb2.SceneEvent.KIND_SEVERED,
+        event_pb2.SceneEvent.KIND_TOOL_ADDED,
+        event_pb2.SceneEvent.KIND_TOOL_REMOVED,
     }
 )
 
@@ -79,7 +81,10 @@ class RecordingIndex:
         reader = RecordingReader(path)
         self.name = path.name
         self.scene, self.start = reader.scene, reader.start
+        #: With the tools of the first frame.
         self.topology = stream_pb2.Topology()
+        # Tools of each version of the topology, which differ by nothing else.
+        self._tools: dict[int, list[stream_pb2.ToolShape]] = {}
         #: Time of each frame from the first one [s].
         self.times_s = array("d")
         self.marks: list[Mark] = []
@@ -115,6 +120,17 @@ class RecordingIndex:
         before = self._statuses_before[index]
         return self._message(self._statuses, before - 1, stream_pb2.SceneStatus) if before > 0 else None
 
+    def topology_of(self, frame: stream_pb2.Frame) -> stream_pb2.Topology:
+        """Returns the topology with the tools of a frame."""
+        if frame.topology_version == self.topology.version:
+            return self.topology
+        out = stream_pb2.Topology()
+        out.CopyFrom(self.topology)
+        out.version = frame.topology_version
+        del out.tools[:]
+        out.tools.extend(self._tools[frame.topology_version])
+        return out
+
     def changes(self, frame: stream_pb2.Frame) -> changes_pb2.SurfaceChanges | None:
         """Reads the newest changes of the surface that are not newer than a frame. Raises like `frame`."""
         at = bisect_right(self._revisions, frame.revision) - 1
@@ -146,7 +162,10 @@ class RecordingIndex:
     def _take(self, found: Found, place: ChunkPlace, timeline: _Timeline) -> None:
         message = CHANNELS[found.channel].FromString(found.data)
         if isinstance(message, stream_pb2.Topology):
-            self.topology = message
+            if not self._tools:
+                self.topology = message
+            if len(message.bodies) == len(self.topology.bodies):
+                self._tools[message.version] = list(message.tools)
         elif isinstance(message, recording_pb2.RecordedEdit):
             timeline.take_edit(message)
         elif isinstance(message, recording_pb2.RecordedStep):
@@ -156,7 +175,7 @@ class RecordingIndex:
             self._statuses.add(place, found.at, len(found.data))
         elif isinstance(message, changes_pb2.SurfaceChanges):
             rises = not self._revisions or message.revision >= self._revisions[-1]
-            if rises and message.topology_version == self.topology.version:
+            if rises and message.topology_version in self._tools:
                 self._revisions.append(message.revision)
                 self._changes.add(place, found.at, len(found.data))
         elif isinstance(message, event_pb2.SceneEvents):
@@ -165,7 +184,7 @@ class RecordingIndex:
                 timeline.take_events(message)
                 self._event_times_ns.append(newest_ns)
                 self._events.add(place, found.at, len(found.data))
-        elif isinstance(message, stream_pb2.Frame) and message.topology_version == self.topology.version:
+        elif isinstance(message, stream_pb2.Frame) and message.topology_version in self._tools:
             base = 12 * sum(body.vertex_count for body in self.topology.bodies)
             more = len(message.positions) - base
             if more < 0 or more % 12 or (more and message.revision == 0):

@@ -118,6 +118,7 @@ class Recorder:
         # The newest ones: each file begins with them.
         self._changes: changes_pb2.SurfaceChanges | None = None
         self._events: event_pb2.SceneEvents | None = None
+        self._topology_version = 0  # the newest one in the file
         self._due_checks = 0  # each comes after its step, perhaps in a later message, or is counted as lost
 
     def summary(self) -> dict[str, Any]:
@@ -169,7 +170,7 @@ class Recorder:
         writer.add("/scene", self._handle.message, start.server_time_ns)
         writer.add("/start", start)
         if self._args.frames:
-            writer.add("/topology", self._handle.topology())
+            self._add_topology(writer)
             if self._changes is None:
                 with contextlib.suppress(TensormassError):  # a scene without frames
                     self._changes = self._handle.frame().surface.changes
@@ -178,6 +179,11 @@ class Recorder:
             if self._events is not None:
                 writer.add("/events", self._events)
         writer.flush()
+
+    def _add_topology(self, writer: RecordingWriter | RecordingFiles) -> None:
+        topology = self._handle.topology()
+        self._topology_version = topology.version
+        writer.add("/topology", topology)
 
     def _cut(self) -> Cut:
         before_ns = self._handle.status().server_time_ns
@@ -290,6 +296,9 @@ class Recorder:
                 writer.add("/events", item)
             return
         if isinstance(item, stream_pb2.Frame):
+            if item.topology_version > self._topology_version:  # tools were added or removed
+                with contextlib.suppress(NotFoundError):  # unloaded: the stream ends too
+                    self._add_topology(writer)
             writer.add("/frames", item, item.server_time_ns)
             self.frames += 1
             return

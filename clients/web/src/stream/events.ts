@@ -40,6 +40,10 @@ export function eventLabel({ kind }: Pick<SceneEvent, "kind">): string {
       return "cut begins";
     case Kind.CUT_ENDED:
       return "cut ends";
+    case Kind.TOOL_ADDED:
+      return "tool added";
+    case Kind.TOOL_REMOVED:
+      return "tool removed";
     default:
       return "event";
   }

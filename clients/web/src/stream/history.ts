@@ -41,6 +41,10 @@ export class History {
 
   /** Takes the forces on the tools that move. */
   addFrame(frame: Frame, topology: Topology): void {
+    const names = new Set(frame.tools.map((tool) => tool.name));
+    for (const gone of [...this.forces.keys()].filter((name) => !names.has(name))) {
+      this.forces.delete(gone);
+    }
     const moving = new Set(topology.tools.filter((tool) => !tool.fixed).map((tool) => tool.name));
     for (const { name, forceN } of frame.tools.filter((tool) => moving.has(tool.name)).slice(0, MAX_TOOLS)) {
       let series = this.forces.get(name);

@@ -26,8 +26,31 @@ export interface Reference {
 /** A status is current for frames that are at most this much newer [ns on the server's clock]. */
 export const STATUS_HOLDS_NS = 3_000_000_000n;
 
+/** Whether a topology is the one before with other tools: EditScene added or removed some. */
+function hasOtherTools(before: Topology | null, now: Topology | null): boolean {
+  if (before === null || now === null || before.scene !== now.scene || before.version === now.version) {
+    return false;
+  }
+  const [names, others] = [before, now].map(({ tools }) => tools.map(({ name }) => name).join(" "));
+  return (
+    names !== others &&
+    before.bodies.length === now.bodies.length &&
+    before.bodies.every(({ name, vertexCount, triangles }, i) => {
+      const body = now.bodies[i]!;
+      return (
+        name === body.name &&
+        vertexCount === body.vertexCount &&
+        triangles.length === body.triangles.length &&
+        triangles.every((vertex, k) => vertex === body.triangles[k])
+      );
+    })
+  );
+}
+
 export class SceneStore {
   topology: Topology | null = null;
+  /** Version of the first topology of the scene on show. Those that differ from it by their tools belong to it. */
+  sceneVersion: bigint | null = null;
   frame: Frame | null = null;
   status: Status | null = null;
   /** Changes of the surface since the topology; null: none are known. Another object after each change. */
@@ -51,6 +74,7 @@ export class SceneStore {
   readonly counters: Counters = { drawn: 0, dropped: 0, refused: 0, lastRefusal: null };
 
   #field: Field | null = null;
+  #eventsVersion = 0n;
   #fresh = false;
   #lastDrawnSequence: bigint | null = null;
 
@@ -62,7 +86,7 @@ export class SceneStore {
   }
 
   setTopology(topology: Topology): void {
-    const another = topology.version !== this.topology?.version;
+    const another = topology.version !== this.topology?.version && !hasOtherTools(this.topology, topology);
     this.#replaceTopology(topology);
     const { status } = this;
     if (another && status !== null) {
@@ -102,8 +126,10 @@ export class SceneStore {
 
   /** Takes the last events. Drops those of a previous scene. */
   setEvents({ events, topologyVersion }: SceneEvents): void {
-    if (this.topology === null || this.topology.wholeVersion === topologyVersion) {
+    // Events have the version with which the scene was loaded. A page that came later knows the newest one only.
+    if (topologyVersion >= this.#eventsVersion && topologyVersion <= (this.topology?.wholeVersion ?? topologyVersion)) {
       this.events = events;
+      this.#eventsVersion = topologyVersion;
     }
   }
 
@@ -232,14 +258,18 @@ export class SceneStore {
   }
 
   #replaceTopology(topology: Topology | null): void {
+    const sameScene = topology?.wholeVersion === this.topology?.wholeVersion || hasOtherTools(this.topology, topology);
     // The same topology may come again. What the user chose as zero then stays.
-    if (topology?.version !== this.topology?.version) {
+    if (topology?.version !== this.topology?.version && !hasOtherTools(this.topology, topology)) {
       this.reference = null;
       this.#field = null;
       this.valuesRevision += 1;
     }
-    if (topology?.wholeVersion !== this.topology?.wholeVersion) {
+    if (!sameScene) {
       this.events = [];
+      // Those of a previous scene have at most the version of its last topology.
+      this.#eventsVersion = topology === null || this.topology === null ? 0n : this.topology.wholeVersion + 1n;
+      this.sceneVersion = topology?.wholeVersion ?? null;
     }
     this.changes = null;
     this.unshownChanges = null;

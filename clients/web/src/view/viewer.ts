@@ -58,7 +58,7 @@ export class Viewer implements Picture {
   /** Tissue in the first frame [m]. The clip plane moves between its ends. */
   readonly #bounds = new THREE.Box3();
   #radiusM = 1;
-  /** Version of the whole topology that the camera was placed for; null: none. */
+  /** Version of the scene that the camera was placed for; null: none. */
   #framed: bigint | null = null;
   #dragEnabled = false;
 
@@ -210,9 +210,9 @@ export class Viewer implements Picture {
   }
 
   #build(topology: Topology, frame: Frame): void {
-    // The same scene in another detail keeps its place in the picture.
-    if (topology.wholeVersion !== this.#framed) {
-      this.#framed = topology.wholeVersion;
+    // The same scene in another detail, or with other tools, keeps its place in the picture.
+    if (this.#store.sceneVersion !== this.#framed) {
+      this.#framed = this.#store.sceneVersion;
       this.#bounds.setFromArray(frame.positions);
       this.#radiusM = Math.max(this.#bounds.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
       this.#studio.frame(sceneBounds(topology, frame), topology.up);
