@@ -11,6 +11,7 @@
 /// Makes the aggregates of the coarse level (solver/coarse_level.h).
 ///
 ///   mesh ── components ──> pieces ── each its share of kMaxAggregates ──> bisection by coordinates ──> aggregates
+///                                                                    └──> unions of patches (GPU), or parts of one
 ///
 /// An aggregate never spans two pieces of a body that a cut has separated: they do not move together.
 namespace tensormass::model {
@@ -58,6 +59,30 @@ void add(std::span<const std::uint32_t> nodes, const mesh::Mesh& mesh, const mat
   out.center_rows.push_back(layout.row_of_node[center]);
 }
 
+/// Divides some nodes into compact aggregates.
+void divide(std::span<const std::uint32_t> nodes, std::uint32_t parts, const mesh::Mesh& mesh,
+            const matrix::Layout& layout, Aggregates& out) {
+  std::vector<Eigen::Vector3d> points;
+  for (const std::uint32_t node : nodes) points.push_back(mesh.nodes[node]);
+  const mesh::Partition partition = mesh::partition(points, parts, static_cast<std::uint32_t>(nodes.size()));
+  for (std::uint32_t part = 0; part < parts; ++part) {
+    std::vector<std::uint32_t> of_part;
+    for (std::uint32_t i = partition.offsets[part]; i < partition.offsets[part + 1]; ++i) {
+      of_part.push_back(nodes[partition.order[i]]);
+    }
+    if (!of_part.empty()) add(of_part, mesh, layout, out);
+  }
+}
+
+/// Returns the nodes of a piece by their patches. Neighbouring patches follow each other.
+std::vector<std::vector<std::uint32_t>> by_patch(const std::vector<std::uint32_t>& piece,
+                                                 const matrix::Layout& layout) {
+  std::vector<std::vector<std::uint32_t>> patches(layout.patch_count);
+  for (const std::uint32_t node : piece) patches[layout.patch_of_row(layout.row_of_node[node])].push_back(node);
+  std::erase_if(patches, [](const auto& nodes) { return nodes.empty(); });
+  return patches;
+}
+
 /// Least cg_tolerance of a scene that gets a coarse level by itself. Below it rounding decides how far a solve comes,
 /// and c, which follows by recurrence (solver/coarse_level.h), drifts away from the residual.
 constexpr double kLeastTolerance = 1e-6;
@@ -72,24 +97,27 @@ bool may_use(const Settings& settings) {
 
 Aggregates make_aggregates(const Settings& settings, const mesh::Mesh& mesh, const matrix::Layout& layout) {
   Aggregates out;
-  // Only the solve by stages on a CPU has a coarse level.
-  if (!may_use(settings) || layout.storage != matrix::Storage::kEdges) return out;
+  // A streamed solve has no coarse level.
+  if (!may_use(settings) || layout.storage == matrix::Storage::kTiles) return out;
   out.row_aggregate.assign(layout.row_count, view::kNoAggregate);
   const std::size_t most = std::clamp<std::size_t>(mesh.nodes.size() / kNodesOfAggregate, 1, view::kMaxAggregates);
   for (const std::vector<std::uint32_t>& piece : pieces_of(mesh)) {
     if (out.count() == view::kMaxAggregates) break;  // the rest is left to block-Jacobi
-    std::vector<Eigen::Vector3d> points;
-    for (const std::uint32_t node : piece) points.push_back(mesh.nodes[node]);
     const std::size_t share = std::max<std::size_t>(most * piece.size() / mesh.nodes.size(), 1);
-    const auto parts =
-        static_cast<std::uint32_t>(std::min<std::size_t>(share, std::size_t{view::kMaxAggregates} - out.count()));
-    const mesh::Partition partition = mesh::partition(points, parts, static_cast<std::uint32_t>(piece.size()));
-    for (std::uint32_t part = 0; part < parts; ++part) {
+    const std::size_t parts = std::min<std::size_t>(share, std::size_t{view::kMaxAggregates} - out.count());
+    if (layout.storage == matrix::Storage::kEdges) {
+      divide(piece, static_cast<std::uint32_t>(parts), mesh, layout, out);
+      continue;
+    }
+    // Whole patches where they are small enough, so that a patch adds to few aggregates.
+    const std::vector<std::vector<std::uint32_t>> patches = by_patch(piece, layout);
+    const std::size_t groups = std::min(parts, patches.size());
+    for (std::size_t group = 0, patch = 0; group < groups; ++group) {
       std::vector<std::uint32_t> nodes;
-      for (std::uint32_t i = partition.offsets[part]; i < partition.offsets[part + 1]; ++i) {
-        nodes.push_back(piece[partition.order[i]]);
+      for (; patch < (group + 1) * patches.size() / groups; ++patch) {
+        nodes.insert(nodes.end(), patches[patch].begin(), patches[patch].end());
       }
-      if (!nodes.empty()) add(nodes, mesh, layout, out);
+      divide(nodes, static_cast<std::uint32_t>(parts / groups), mesh, layout, out);
     }
   }
   return out;

@@ -326,18 +326,19 @@ view::CoarseView<Real> bind_coarse(const Model& m, Arena& arena) {
   c.row_aggregate = arena.template constant<std::uint32_t>("aggregates of rows", m.aggregates.row_aggregate);
   c.center_rows = arena.template constant<std::uint32_t>("centres of aggregates", m.aggregates.center_rows);
   c.inverse_sizes = arena.template constant<Real>("sizes of aggregates", m.aggregates.inverse_sizes);
-  c.sums = arena.template zeros<double>("coarse matrix of patches", patches * n * n);
-  c.factor = arena.template zeros<double>("coarse matrix", n * n);
+  const bool edges = m.layout.storage == matrix::Storage::kEdges;
+  c.sums = arena.template zeros<double>("coarse matrix of patches", (edges ? patches : 1) * n * n);
+  c.factor = arena.template zeros<double>("coarse matrix", edges ? n * n : 0);
   c.lower = arena.template zeros<Real>("coarse factor", n * n);
   c.upper = arena.template zeros<Real>("transposed coarse factor", n * n);
-  c.inverse_pivots = arena.template zeros<Real>("coarse pivots", n);
+  c.inverse_pivots = arena.template zeros<Real>("coarse pivots", edges ? n : 0);
   c.rows = arena.template zeros<Real>("rigid modes of rows", view::kCoarseRowReals * local);
   c.exchanged = arena.template zeros<Real>("coarse sums", 2 * patches * padded);
   const std::size_t rows = count > 0 ? m.layout.row_count : 0;
   c.row_sums = arena.template zeros<double>("sums of rows", 9 * rows);
   c.row_errors = arena.template zeros<Real>("rounding errors of rows", 9 * rows);
   c.row_losses = arena.template zeros<Real>("rounding losses of rows", view::kRowLossReals * rows);
-  c.vectors = arena.template zeros<Real>("coarse vectors", patches * view::kCoarseVectors * padded);
+  c.vectors = arena.template zeros<Real>("coarse vectors", edges ? patches * view::kCoarseVectors * padded : 0);
   return c;
 }
 

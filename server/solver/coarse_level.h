@@ -43,14 +43,14 @@ inline constexpr double kLeastPivot = 1e-6;
 
 /// Unknowns of the coarse system.
 template <class Real>
-std::size_t coarse_unknowns(const view::CoarseView<Real>& coarse) {
+TM_HOST_DEVICE std::size_t coarse_unknowns(const view::CoarseView<Real>& coarse) {
   return std::size_t{view::kRigidModes} * coarse.aggregate_count;
 }
 
 /// Returns the place of a row in its aggregate: x_i.
 template <class Real>
-Vec3<Real> place_in_aggregate(const view::StateView<Real>& state, const view::CoarseView<Real>& coarse,
-                              std::uint32_t row, std::uint32_t aggregate) {
+TM_HOST_DEVICE Vec3<Real> place_in_aggregate(const view::StateView<Real>& state, const view::CoarseView<Real>& coarse,
+                                             std::uint32_t row, std::uint32_t aggregate) {
   const Vec3<Real> center = view::position(state, coarse.center_rows[aggregate]);
   return (view::position(state, row) - center) * coarse.inverse_sizes[aggregate];
 }
@@ -59,7 +59,7 @@ namespace detail {
 
 /// Returns m · (−[x]×): how a matrix acts on rotations about the centre.
 template <class Real>
-Mat3<Real> times_rotations(const Mat3<Real>& m, const Vec3<Real>& x) {
+TM_HOST_DEVICE Mat3<Real> times_rotations(const Mat3<Real>& m, const Vec3<Real>& x) {
   Mat3<Real> out;
   for (int i = 0; i < 3; ++i) {
     out(i, 0) = m(i, 2) * x[1] - m(i, 1) * x[2];
@@ -75,12 +75,12 @@ struct RowBlock {
   Mat3<Real> moved = Mat3<Real>::Zero(), turned = Mat3<Real>::Zero();
 
   /// Adds the coupling to a row at x of its aggregate.
-  void add(const Mat3<Real>& a, const Vec3<Real>& x) {
+  TM_HOST_DEVICE void add(const Mat3<Real>& a, const Vec3<Real>& x) {
     moved += a;
     turned += times_rotations(a, x);
   }
   /// Adds Z_iᵀ (A Z_j) to a block of E. x: place of row i. transposes: adds its transpose instead.
-  void add_to(double* block, std::size_t stride, const Vec3<Real>& x, bool transposes = false) const {
+  TM_HOST_DEVICE void add_to(double* block, std::size_t stride, const Vec3<Real>& x, bool transposes = false) const {
     for (int j = 0; j < 6; ++j) {
       const Vec3<Real> column = j < 3 ? Vec3<Real>(moved.col(j)) : Vec3<Real>(turned.col(j - 3));
       const Vec3<Real> torque = x.cross(column);
@@ -93,6 +93,42 @@ struct RowBlock {
     }
   }
 };
+
+/// Returns a block without the rows and columns of directions that are not free.
+template <class Real>
+TM_HOST_DEVICE Mat3<Real> free_part(const view::StateView<Real>& state, const Mat3<Real>& block, std::uint32_t row,
+                                    std::uint32_t other) {
+  const std::uint32_t bits = view::free_bits(state, row), other_bits = view::free_bits(state, other);
+  if ((bits & other_bits) == 7) return block;
+  Mat3<Real> part = block;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      if ((bits >> i & 1) == 0 || (other_bits >> j & 1) == 0) part(i, j) = 0;
+    }
+  }
+  return part;
+}
+
+/// Computes L from L⁻¹, both as (00, 10, 11, 20, 21, 22). Fixed directions have zeros in both.
+template <class Real>
+TM_HOST_DEVICE void factor_of(const Real* m, Real* l) {
+  const auto inverse = [](Real value) { return value != 0 ? 1 / value : Real(0); };
+  l[0] = inverse(m[0]);
+  l[2] = inverse(m[2]);
+  l[5] = inverse(m[5]);
+  l[1] = -m[1] * l[0] * l[2];
+  l[4] = -m[4] * l[2] * l[5];
+  l[3] = -(m[3] * l[0] + m[4] * l[1]) * l[5];
+}
+
+/// Returns Ẑ_i y = Lᵀ (t + ω × x). row: kCoarseRowReals of the row. y: six modes of its aggregate.
+template <class Scalar>
+TM_HOST_DEVICE Vec3<Scalar> motion(const Scalar* row, const Scalar* y) {
+  const Scalar *x = row + 8, *w = y + 3;
+  const Vec3<Scalar> u(y[0] + w[1] * x[2] - w[2] * x[1], y[1] + w[2] * x[0] - w[0] * x[2],
+                       y[2] + w[0] * x[1] - w[1] * x[0]);
+  return {row[0] * u[0] + row[1] * u[1] + row[3] * u[2], row[2] * u[1] + row[4] * u[2], row[5] * u[2]};
+}
 
 }  // namespace detail
 
@@ -108,15 +144,7 @@ void assemble_coarse(const Team& team, const view::PatchesView& patches, const v
   std::fill(sums, sums + unknowns * unknowns, 0.0);
   const auto block_of = [&](std::uint32_t i, std::uint32_t j) { return sums + view::kRigidModes * (unknowns * i + j); };
   const auto free_part = [&](const Mat3<Real>& block, std::uint32_t row, std::uint32_t other) {
-    const std::uint32_t bits = view::free_bits(state, row), other_bits = view::free_bits(state, other);
-    if ((bits & other_bits) == 7) return block;
-    Mat3<Real> part = block;
-    for (int i = 0; i < 3; ++i) {
-      for (int j = 0; j < 3; ++j) {
-        if ((bits >> i & 1) == 0 || (other_bits >> j & 1) == 0) part(i, j) = 0;
-      }
-    }
-    return part;
+    return detail::free_part(state, block, row, other);
   };
   constexpr std::uint32_t kHeight = matrix::kEdgeSliceRows;
   for (std::uint32_t row = patch.row_begin; row < patch.row_end; ++row) {
@@ -220,7 +248,7 @@ class CoarseLevel {
       std::fill(to, to + view::kCoarseRowReals, Real(0));
       const std::uint32_t aggregate = coarse_.row_aggregate[row];
       if (aggregate == view::kNoAggregate) continue;
-      factor_of(matrix.diagonal + std::size_t{8} * row, to);
+      detail::factor_of(matrix.diagonal + std::size_t{8} * row, to);
       const Vec3<Real> x = place_in_aggregate(state, coarse_, row, aggregate);
       for (int i = 0; i < 3; ++i) to[8 + i] = x[i];
     }
@@ -283,34 +311,16 @@ class CoarseLevel {
       T row[view::kCoarseRowReals], y[view::kCoarseStride];
       load_rows(local, row);
       Lanes::gather_records(y, [&](std::uint32_t lane) { return y_ + aggregate_of(local + lane); });
-      Lanes::store3(p, local, Vec3<T>(Lanes::load3(p, local) + motion<T>(row, y)));
+      Lanes::store3(p, local, Vec3<T>(Lanes::load3(p, local) + detail::motion<T>(row, y)));
     }
     for (std::uint32_t local = patch_.own(); local < patch_.own() + patch_.halo_count; ++local) {
       const Real* row = rows_ + std::size_t{view::kCoarseRowReals} * local;
       view::store3<Real>(p, local,
-                         Vec3<Real>(view::load3<Real>(p, local) + motion<Real>(row, y_ + aggregate_of(local))));
+                         Vec3<Real>(view::load3<Real>(p, local) + detail::motion<Real>(row, y_ + aggregate_of(local))));
     }
   }
 
  private:
-  /// Computes L from L⁻¹, both as (00, 10, 11, 20, 21, 22). Fixed directions have zeros in both.
-  static void factor_of(const Real* m, Real* l) {
-    const auto inverse = [](Real value) { return value != 0 ? 1 / value : Real(0); };
-    l[0] = inverse(m[0]);
-    l[2] = inverse(m[2]);
-    l[5] = inverse(m[5]);
-    l[1] = -m[1] * l[0] * l[2];
-    l[4] = -m[4] * l[2] * l[5];
-    l[3] = -(m[3] * l[0] + m[4] * l[1]) * l[5];
-  }
-  /// Returns Ẑ_i y = Lᵀ (t + ω × x).
-  template <class Scalar>
-  static Vec3<Scalar> motion(const Scalar* row, const Scalar* y) {
-    const Scalar *x = row + 8, *w = y + 3;
-    const Vec3<Scalar> u(y[0] + w[1] * x[2] - w[2] * x[1], y[1] + w[2] * x[0] - w[0] * x[2],
-                         y[2] + w[0] * x[1] - w[1] * x[0]);
-    return {row[0] * u[0] + row[1] * u[1] + row[3] * u[2], row[2] * u[1] + row[4] * u[2], row[5] * u[2]};
-  }
   void load_rows(std::uint32_t local, T (&row)[view::kCoarseRowReals]) const {
     Lanes::gather_records(
         row, [&](std::uint32_t lane) { return rows_ + std::size_t{view::kCoarseRowReals} * (local + lane); });

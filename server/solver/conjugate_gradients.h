@@ -230,6 +230,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
             for (int c = 0; c < 3; ++c) q[i] += Lanes::load(block + (3 * i + c) * view::kSliceRows) * x[c];
           }
         }
+        if constexpr (requires { coarse.correct(row, own, q); }) coarse.correct(row, own, q);
         Lanes::store3(product, row, q);
         sum_pq += own[0] * q[0] + own[1] * q[1] + own[2] * q[2];
         sum_qq += q[0] * q[0] + q[1] * q[1] + q[2] * q[2];

@@ -55,7 +55,7 @@ void sum_rows(const view::PatchesView& patches, const view::Patch& patch, const 
 
 /// Returns L as a matrix from the six reals of L⁻¹. Fixed directions have zeros in both.
 template <class Real>
-Mat3<double> lower_factor(const Real* inverse) {
+TM_HOST_DEVICE Mat3<double> lower_factor(const Real* inverse) {
   const auto reciprocal = [](Real value) { return value != 0 ? 1 / static_cast<double>(value) : 0.0; };
   const double m1 = inverse[1], m3 = inverse[3], m4 = inverse[4];
   const double l0 = reciprocal(inverse[0]), l2 = reciprocal(inverse[2]), l5 = reciprocal(inverse[5]);

@@ -3,12 +3,24 @@
 #include <thread>
 
 #include "backend/cpu/elements.h"
+#include "solver/coarse_rows.h"
 #include "solver/row_sums.h"
 #include "step/run.h"
 #include "support/host_rows.h"
 
 // TM_REAL, float or double, comes from the build.
 namespace tensormass::tests {
+
+namespace {
+
+/// A team that takes one row at a time, as a thread of a GPU does.
+struct RowTeam : backend::cpu::Team {
+  using backend::cpu::Team::Team;
+  template <class Real>
+  using Lanes = SingleLane<Real>;
+};
+
+}  // namespace
 
 template <class Real>
 void StagedScene<Real>::run(const step::Stage& stage) {
@@ -18,7 +30,7 @@ void StagedScene<Real>::run(const step::Stage& stage) {
     std::vector<std::thread> threads;
     for (std::uint32_t patch = 0; patch < view.patches.patch_count; ++patch) {
       threads.emplace_back([&, patch] {
-        backend::cpu::Team team(patch, view.patches.patch_count, barrier);
+        RowTeam team(patch, view.patches.patch_count, barrier);
         run_stage(team);
       });
     }
@@ -35,6 +47,34 @@ void StagedScene<Real>::run(const step::Stage& stage) {
     const model::ElementGroup& group = model.groups[stage.group];
     const auto pass = backend::cpu::element_passes<Real>(group.shape, group.law).tensors;
     on_each_patch([&](backend::cpu::Team& team) { pass(team, view, elements); });
+  }
+  if (uses_coarse_ && model.layout.storage == matrix::Storage::kRows) {
+    if (stage.info->kind == step::StageKind::kRowErrors) {
+      return on_each_patch([&](RowTeam& team) {
+        solver::measure_errors_of_rows(team, view.patches, view.state, view.matrix, coarse);
+      });
+    }
+    if (stage.info->kind == step::StageKind::kCoarseLevel) {
+      on_each_patch([&](RowTeam& team) {
+        solver::sum_free_parts_of_rows(team, view.patches, view.state, view.matrix, coarse);
+        if (!team.leads()) return;
+        for (std::uint32_t pair = 0; pair < coarse_lists.pair_count; ++pair) {
+          solver::assemble_coarse_pair(team, pair, view.patches, view.state, view.matrix, coarse, coarse_lists);
+        }
+        std::vector<double> scratch(solver::coarse_scratch(solver::coarse_unknowns(coarse)));
+        solver::invert_coarse(team, coarse, scratch.data());
+      });
+      return;
+    }
+    if (stage.info->kind == step::StageKind::kSolve) {
+      return on_each_patch([&](RowTeam& team) {
+        solver::measure_losses_of_rows(team, view.patches, view.matrix, coarse);
+        team.meet();
+        std::vector<Real> vectors(4 * solver::coarse_unknowns(coarse));
+        solver::RowsCoarseLevel<RowTeam, Real> level(team, view.patches, coarse, coarse_lists, vectors.data());
+        solver::conjugate_gradients(team, view.patches, view.state, view.matrix, view.solve, view.links, level);
+      });
+    }
   }
   if (uses_coarse_ && stage.info->kind == step::StageKind::kRowErrors) {
     return on_each_patch([&](backend::cpu::Team& team) {

@@ -12,6 +12,7 @@
 #include "backend/cpu/arena.h"
 #include "backend/step_inputs.h"
 #include "model/bind.h"
+#include "model/coarse_lists.h"
 #include "model/compile.h"
 #include "step/stages.h"
 
@@ -140,6 +141,9 @@ class StagedScene {
   view::SceneView<Real> view = bound_.view;
   model::HostInputs<Real> inputs = bound_.inputs;
   view::CoarseView<Real> coarse = model::bind_coarse<Real>(model, arena_);
+  solver::CoarseLists coarse_lists = model.layout.storage == matrix::Storage::kRows
+                                         ? model::bind_coarse_lists(model, arena_)
+                                         : solver::CoarseLists{};
 
  private:
   bool uses_coarse_ = false;

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <optional>
 #include <vector>
@@ -6,6 +7,7 @@
 
 #include "backend/coarse_switch.h"
 #include "support/backends.h"
+#include "support/cutting.h"
 #include "support/scenes.h"
 #include "world/world.h"
 
@@ -115,6 +117,31 @@ TEST(CoarseLevel, HelpsNewtonsMethodAndEquilibria) {
     EXPECT_LT(relative_difference(found[0], found[1]), 1e-4);
     EXPECT_LT(3 * iterations[0], iterations[1]);
   }
+}
+
+/// A cut right through the ligament makes two bodies, whose rigid motion the coarse level must not tie together.
+TEST(CoarseLevel, ServesALigamentThatIsCutThrough) {
+  const auto cut_in_two = [](const v1::Scene& scene) {
+    tests::CutBody body(scene);
+    body.move({{0.021, -0.001, -0.001}, {0.021, -0.001, 0.006}}, {{0.021, 0.006, -0.001}, {0.021, 0.006, 0.006}});
+    static const std::unique_ptr<backend::Backend> cpu = backend::make_cpu_backend(1);
+    auto model = model::compile(scene, {2, 1, matrix::Storage::kEdges}, {}, body.cuts());
+    if (!model) throw std::runtime_error(model.error().message);
+    auto world = World::create(std::make_unique<const model::Model>(std::move(*model)), *cpu);
+    if (!world) throw std::runtime_error(world.error().message);
+    return std::move(*world);
+  };
+  tests::Beam exact = kLigament;
+  exact.double_precision = true;
+  exact.cg_max_iterations = 5000;
+  exact.cg_tolerance = 1e-10;
+  const auto reference = cut_in_two(scene_of(exact, false)), world = cut_in_two(scene_of(kLigament));
+  const std::vector<double> expected = after(*reference, 10), found = after(*world, 10);
+  EXPECT_LT(relative_difference(found, expected), 0.01);
+  EXPECT_LT(world->last().cg_iterations, 60u);
+  double lowest_m = 0;
+  for (std::size_t i = 1; i < found.size(); i += 3) lowest_m = std::min(lowest_m, found[i]);
+  EXPECT_LT(lowest_m, -0.04) << "the outer piece falls freely: 10 steps of 10 ms are 54 mm";
 }
 
 TEST(CoarseSwitch, TurnsOnAfterALongSolveAndStaysOn) {

@@ -13,6 +13,7 @@
 #include "backend/backend.h"
 #include "backend/checkpoint.h"
 #include "backend/cuda/blocks.h"
+#include "backend/cuda/coarse_stages.cuh"
 #include "backend/cuda/edit_kernels.cuh"
 #include "backend/cuda/elements.h"
 #include "backend/cuda/graph.cuh"
@@ -40,6 +41,8 @@
 ///    decides which one is next.
 /// 2. Everything that a step needs is allocated in the constructor.
 /// 3. A scene that shares the device uses only its share of the multiprocessors.
+/// 4. A scene whose solves may get a coarse level (coarse_stages.cuh) has each graph twice. The host decides before each
+///    step, or before each Newton iteration, which one it launches.
 namespace tensormass::backend::cuda {
 
 template <class Real>
@@ -77,6 +80,7 @@ class CudaState final : public SceneState {
         external_(loads_change(model) ? model.external.size() : 0),
         faces_(loads_change(model) ? model.pressure.faces.size() : 0),
         bound_(model::bind<Real>(model, arena_, exchange())),
+        coarse_(model, bound_.view, arena_),
         edits_(model.edit_tables != nullptr || model.links.spring_count() > 0),
         load_factors_(model) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) {
@@ -93,19 +97,12 @@ class CudaState final : public SceneState {
       if (model.solve == model::SolveKind::kResident) link_room_ = room_for_links();
     }
     if (model.solve_keeps_vectors && !solve_plan_.keeps_vectors()) throw CudaFailure("no room for the solve's vectors");
-    if (model.iterates()) {
-      for (const step::Phase phase : {step::Phase::kBegin, step::Phase::kEvaluate, step::Phase::kSolve,
-                                      step::Phase::kBacktrack, step::Phase::kEnd}) {
-        graph(phase) = record_graph(stream(), [&] { enqueue_phase(phase); });
-      }
-    } else {
-      step_ = record_graph(stream(), [&] {
-        for (const step::Phase phase :
-             {step::Phase::kBegin, step::Phase::kEvaluate, step::Phase::kSolve, step::Phase::kEnd}) {
-          enqueue_phase(phase);
-        }
-      });
+    for (const bool coarse : {false, true}) {
+      if (coarse && !coarse_.exists()) continue;
+      uses_coarse_ = coarse;
+      record(coarse);
     }
+    uses_coarse_ = false;
     graph(step::Phase::kDiagnostics) = record_graph(stream(), [&] { enqueue_phase(step::Phase::kDiagnostics); });
     if (view_.surface.vertex_count > 0) {
       graph(step::Phase::kFrame) = record_graph(stream(), [&] { enqueue_phase(step::Phase::kFrame); });
@@ -127,13 +124,24 @@ class CudaState final : public SceneState {
                                          input.projects_stiffness, checkpoint_.largest_force_squared());
       if (model_.extrapolates()) result.take_motion(this->result());
     } else {
-      launch_graph(step_, "step");
+      run_linearized();
     }
     if (input.gather_visible) launch_frame();
     wait("step");
     throw_if_stopped();
+    if (!model_.iterates()) {
+      result = this->result();
+      if (input.saves_checkpoint && ends_unsolved(result)) {
+        restore();
+        *control_.host = checkpoint_.begin(model_, input);
+        run_linearized();
+        if (input.gather_visible) launch_frame();
+        wait("step");
+        throw_if_stopped();
+        result = this->result();
+      }
+    }
     read_forces<Real>(loads_.span(), forces);
-    if (!model_.iterates()) result = this->result();
     result.min_det_f = read_volume<Real>(model_, result.min_det_f, min_det_f_.span());
     solver::read_links<Real>(link_reports_.span(), result);
     solver::read_balance<Real>(balance_reports_.span(), result);
@@ -249,8 +257,14 @@ class CudaState final : public SceneState {
 
   // solver::newton_step calls these.
   void begin() { run(step::Phase::kBegin); }
-  void evaluate() { run(step::Phase::kEvaluate); }
-  void solve() { run(step::Phase::kSolve); }
+  void evaluate() {
+    choose_level();
+    run(step::Phase::kEvaluate);
+  }
+  void solve() {
+    begin_solve();
+    run(step::Phase::kSolve);
+  }
   void backtrack() { run(step::Phase::kBacktrack); }
   void end() { run(step::Phase::kEnd); }
   void run(step::Phase phase) { launch_graph(graph(phase), "step"); }
@@ -260,10 +274,12 @@ class CudaState final : public SceneState {
   }
   solver::NewtonResidual residual() {
     wait("step");
+    take_solve();
     return solver::read_residual<Real>(residuals_.span());
   }
   StepResult result() {
     wait("step");
+    take_solve();
     return solver::read_step<Real>(*solve_.data(), patches_.span());
   }
 
@@ -273,6 +289,34 @@ class CudaState final : public SceneState {
   /// A wait for a solve that may take long spins for this time, as others do throughout.
   static constexpr std::chrono::microseconds kAwake{1000};
 
+  /// Launches a step that is linearized once.
+  void run_linearized() {
+    choose_level();
+    begin_solve();
+    launch_graph(steps_[uses_coarse_ ? 1 : 0], "step");
+  }
+  /// Decides whether the next evaluation and the solve after it have a coarse level. With Newton's method, a solve
+  /// whose end the host has not seen does not count yet: the wait would cost more than the coarse level saves.
+  void choose_level() { uses_coarse_ = coarse_.exists() && checkpoint_.coarse().is_on(model_); }
+  void begin_solve() {
+    if (solve_had_coarse_ && !uses_coarse_) {  // the next one reports inverted elements elsewhere
+      std::fill(min_det_f_.span().begin(), min_det_f_.span().end(), std::numeric_limits<Real>::infinity());
+    }
+    solve_had_coarse_ = uses_coarse_;
+    solve_is_new_ = true;
+  }
+  /// Takes the iterations of the last solve, once. Call when it has ended.
+  void take_solve() {
+    if (!solve_is_new_) return;
+    solve_is_new_ = false;
+    checkpoint_.coarse().take_solve(solve_.data()->iterations, solve_had_coarse_);
+  }
+  /// Returns whether a step must be made again because it ended above its tolerance, and now has a coarse level. So no
+  /// step is published unsolved only because the last one did not need the coarse level.
+  bool ends_unsolved(const StepResult& result) const {
+    return !uses_coarse_ && coarse_.exists() && checkpoint_.coarse().is_on(model_) && result.finite &&
+           !result.negative_curvature && result.cg_relative_residual > model_.cg_tolerance;
+  }
   void launch_graph(const Graph& graph, const char* what) { check(cudaGraphLaunch(graph.get(), stream()), what); }
   void launch_frame() {
     if (const Graph& frame = graph(step::Phase::kFrame)) launch_graph(frame, "frame");
@@ -302,7 +346,24 @@ class CudaState final : public SceneState {
   /// Waits for copies from pageable memory and for clearing, which have a stream of their own. It does not wait for the
   /// whole device, which other scenes may never leave idle.
   static void finish_copies(const char* what) { check(cudaStreamSynchronize(cudaStreamLegacy), what); }
-  Graph& graph(step::Phase phase) { return phases_[static_cast<std::size_t>(phase)]; }
+  Graph& graph(step::Phase phase) {
+    const bool coarse = uses_coarse_ && (phase == step::Phase::kEvaluate || phase == step::Phase::kSolve);
+    return phases_[coarse ? 1 : 0][static_cast<std::size_t>(phase)];
+  }
+  /// Records the graphs of a step.
+  void record(bool coarse) {
+    using step::Phase;
+    if (model_.iterates()) {
+      for (const Phase phase : {Phase::kBegin, Phase::kEvaluate, Phase::kSolve, Phase::kBacktrack, Phase::kEnd}) {
+        Graph& place = graph(phase);
+        if (!place) place = record_graph(stream(), [&] { enqueue_phase(phase); });
+      }
+    } else {
+      steps_[coarse ? 1 : 0] = record_graph(stream(), [&] {
+        for (const Phase phase : {Phase::kBegin, Phase::kEvaluate, Phase::kSolve, Phase::kEnd}) enqueue_phase(phase);
+      });
+    }
+  }
 
   std::vector<double> download(const Real* from, std::size_t count) {
     std::vector<Real> copy(count);
@@ -360,7 +421,8 @@ class CudaState final : public SceneState {
   /// Launches a stage. items: its number of items, a thread for each; 0: the larger number of rows or triangles.
   void launch(step::Communication communication, const void* kernel, const view::ElementView<Real>& elements,
               std::uint32_t items = 0) {
-    void* arguments[] = {const_cast<view::SceneView<Real>*>(&view_), const_cast<view::ElementView<Real>*>(&elements)};
+    const view::SceneView<Real>& scene = uses_coarse_ ? coarse_.scene() : view_;
+    void* arguments[] = {const_cast<view::SceneView<Real>*>(&scene), const_cast<view::ElementView<Real>*>(&elements)};
     if (communication == step::Communication::kExchanges) {
       int resident = 0, processors = 0, device = 0;
       check(cudaGetDevice(&device), "device");
@@ -424,6 +486,16 @@ class CudaState final : public SceneState {
     using step::StageKind;
     const bool of_group = step::is_of_group(stage.info->scope);
     const view::ElementView<Real> elements = of_group ? groups_[stage.group] : view::ElementView<Real>{};
+    if (stage.info->kind == StageKind::kRowErrors) {
+      if (uses_coarse_) coarse_.launch_errors(stream());
+      return;
+    }
+    if (stage.info->kind == StageKind::kCoarseLevel) {
+      if (uses_coarse_) coarse_.launch_matrix(stream());
+      return;
+    }
+    if (uses_coarse_ && stage.info->kind == StageKind::kSolve) return coarse_.launch_solve(stream());
+    if (uses_coarse_ && stage.info->scope == step::Scope::kFusedOnDevice) return launch_fused_stages();
     if (stage.info->scope == step::Scope::kFusedOnDevice) {
       if constexpr (kSinglePrecision) check(launch_solve(solve_plan_, view_, link_room_, stream()), "solve");
       return;
@@ -442,6 +514,22 @@ class CudaState final : public SceneState {
     if (stage.info->kind == StageKind::kGatherSurface) items = view_.surface.vertex_count;
     if (const void* kernel = stage_kernel<Real>(model_, stage)) {
       launch(stage.info->communication, kernel, elements, items);
+    }
+  }
+
+  /// Launches the stages that a fused solve does in one kernel, with a coarse level.
+  void launch_fused_stages() {
+    using step::StageKind;
+    for (const StageKind kind :
+         {StageKind::kFactorize, StageKind::kScaleEdges, StageKind::kSolve, StageKind::kAdvance}) {
+      // Before a streamed solve, the diagonal is factorized already.
+      if (kind == StageKind::kFactorize && model_.solve != model::SolveKind::kResident) continue;
+      launch_stage({&step::info(kind)});
+    }
+    for (std::uint32_t g = 0; g < model_.groups.size(); ++g) {
+      if (!model_.groups[g].solve_checks_volume) continue;
+      const step::Stage check{&step::info(StageKind::kCheckInversion), g};
+      launch(check.info->communication, stage_kernel<Real>(model_, check), coarse_.checked(groups_[g]));
     }
   }
 
@@ -495,6 +583,10 @@ class CudaState final : public SceneState {
   Pinned<view::PressureFace<Real>> faces_;  // likewise
   const model::BoundScene<Real> bound_;
   const view::SceneView<Real>& view_ = bound_.view;
+  CoarseStages<Real> coarse_;
+  bool uses_coarse_ = false;       // the next evaluation and solve have a coarse level
+  bool solve_had_coarse_ = false;  // the last solve had one
+  bool solve_is_new_ = false;      // its iterations have not been taken
   std::vector<view::ElementView<Real>> groups_;
   std::vector<model::GroupBuffers<Real>> buffers_;  // [group]
   EditQueue edits_;
@@ -504,8 +596,8 @@ class CudaState final : public SceneState {
   LinkRoom link_room_{};
   Checkpoint<Real> checkpoint_;
   LoadFactors load_factors_;
-  Graph step_;
-  std::array<Graph, step::kPhases> phases_{};
+  std::array<Graph, 2> steps_{};  // without and with a coarse level
+  std::array<std::array<Graph, step::kPhases>, 2> phases_{};
   const Stream stream_ = make_stream();  // last, so that its work has ended before anything that it uses goes
 };
 
