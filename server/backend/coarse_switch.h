@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "model/settings.h"
+#include "solver/step_result.h"
 
 /// Decides which solves of a scene have a coarse level (solver/coarse_level.h).
 namespace tensormass::backend {
@@ -33,6 +34,13 @@ class CoarseSwitch {
     } else if (left_ > 0) {
       --left_;
     }
+  }
+  /// Returns whether a step must be made again because it ended above its tolerance, and the next solve has a coarse
+  /// level. So no step is published unsolved only because the last one did not need the coarse level.
+  /// was_on: the step's solve had one.
+  bool repeats(const model::Settings& settings, const solver::StepResult& result, bool was_on) const {
+    return !was_on && is_on(settings) && result.finite && !result.negative_curvature &&
+           result.cg_relative_residual > settings.cg_tolerance;
   }
   std::uint32_t left() const { return left_; }
 

@@ -18,9 +18,11 @@
 ///   W    C⁻¹, the inverse of the Cholesky factor of E = C Cᵀ, a lower triangle of n × n
 ///   t    W c;  y = Wᵀ t,  c·y = t·t
 ///
+/// Both triangles are stored row by row without gaps: W in `lower` and Wᵀ in `upper` of view::CoarseView.
+///
 /// 1. A row has all of its blocks, so each row forms its own sums, and no thread adds to another's.
 /// 2. E has a team for each pair of aggregates that are coupled. Sums run in a fixed order: results repeat bitwise.
-/// 3. Triangular systems with C would take n steps, one after the other. Products with W and Wᵀ take one each. M⁻¹ is
+/// 3. A kernel of the GPU computes W from E. Triangular systems with C would take n steps, one after the other. Products with W and Wᵀ take one each. M⁻¹ is
 ///    positive definite whatever rounding does to W.
 /// 4. Every patch computes t and y for itself, from the same sums in the same order. So an iteration communicates once.
 namespace tensormass::solver {
@@ -177,54 +179,11 @@ TM_HOST_DEVICE void assemble_coarse_pair(const Team& team, std::uint32_t pair, c
   }
 }
 
-/// Doubles of the scratch memory of invert_coarse.
-TM_HOST_DEVICE constexpr std::size_t coarse_scratch(std::size_t unknowns) {
-  return unknowns * (unknowns + 1) / 2 + 2 * unknowns;
-}
-
-/// Computes W by elimination of E and the identity side by side: row i of both −= l_ik · row k. Column k of E is no
-/// longer needed then, so column k of W takes its place. One team runs it. Reads sums; writes lower (W), upper (Wᵀ).
-/// scratch: [coarse_scratch(n)]
-template <class Team, class Real>
-TM_HOST_DEVICE void invert_coarse(const Team& team, const view::CoarseView<Real>& coarse, double* scratch) {
-  constexpr std::uint32_t kWidth = view::kRigidModes * view::kMaxAggregates;
-  const auto n = static_cast<std::uint32_t>(coarse_unknowns(coarse));
-  double* const diagonal = scratch;  // of E; of eliminated rows 1 / C_kk
-  double* const column = scratch + n;
-  double* const triangle = column + n;
-  const auto at = [&](std::uint32_t i, std::uint32_t j) -> double& { return triangle[i * (i + 1) / 2 + j]; };
-  team.for_each(0, n * kWidth, [&](std::uint32_t place) {
-    const std::uint32_t i = place / kWidth, j = place % kWidth;
-    if (j > i) return;
-    at(i, j) = coarse.sums[std::size_t{n} * i + j];
-    if (i == j) diagonal[i] = at(i, i);
-  });
-  team.sync();
-  for (std::uint32_t k = 0; k < n; ++k) {
-    const double pivot = at(k, k);
-    const bool kept = pivot > kLeastPivot * diagonal[k];  // else the mode is left out
-    const double inverse = kept ? 1 / pivot : 0;
-    team.for_each(k + 1, n, [&](std::uint32_t i) { column[i] = at(i, k); });
-    team.sync();
-    if (team.leads_patch()) diagonal[k] = kept ? std::sqrt(inverse) : 0;
-    team.for_each(0, (n - k - 1) * kWidth, [&](std::uint32_t place) {
-      const std::uint32_t i = k + 1 + place / kWidth, j = place % kWidth;
-      if (j > i) return;
-      const double factor = column[i] * inverse;
-      if (j == k) {
-        at(i, k) = -factor;
-      } else {
-        at(i, j) -= factor * (j < k ? at(k, j) : column[j]);
-      }
-    });
-    team.sync();
-  }
-  team.for_each(0, n * n, [&](std::uint32_t place) {
-    const std::uint32_t i = place / n, j = place % n;
-    const double value = diagonal[i] * (j < i ? at(i, j) : j == i ? 1 : 0);
-    coarse.lower[std::size_t{n} * i + j] = static_cast<Real>(value);
-    coarse.upper[std::size_t{n} * j + i] = static_cast<Real>(value);
-  });
+/// Reals of a triangle of W, and the places in it of W_kj (j ≤ k) and of (Wᵀ)_jk.
+TM_HOST_DEVICE constexpr std::uint32_t triangle_reals(std::uint32_t unknowns) { return unknowns * (unknowns + 1) / 2; }
+TM_HOST_DEVICE constexpr std::uint32_t lower_place(std::uint32_t k, std::uint32_t j) { return k * (k + 1) / 2 + j; }
+TM_HOST_DEVICE constexpr std::uint32_t upper_place(std::uint32_t unknowns, std::uint32_t j, std::uint32_t k) {
+  return j * unknowns - j * (j + 1) / 2 + k;
 }
 
 /// Calls use(i, Σ_j term(i, j)) for i < count, with j in [begin(i), end(i)). A team of many threads has each_sum of its
@@ -243,6 +202,18 @@ TM_HOST_DEVICE void each_sum(const Team& team, std::uint32_t count, const Begin&
   }
 }
 
+/// Returns Σ_i term(i), i < count, in every thread. Needs no synchronization.
+template <class Team, class Term>
+TM_HOST_DEVICE auto whole_sum(const Team& team, std::uint32_t count, const Term& term) {
+  if constexpr (requires { team.whole_sum(count, term); }) {
+    return team.whole_sum(count, term);
+  } else {
+    auto sum = term(0);
+    for (std::uint32_t i = 1; i < count; ++i) sum += term(i);
+    return sum;
+  }
+}
+
 /// The coarse level as one patch sees it during a solve, for conjugate_gradients.h. All patches call the same functions
 /// in the same order.
 template <class Team, class Real>
@@ -250,15 +221,18 @@ class RowsCoarseLevel {
  public:
   static constexpr bool kExists = true;
 
+  /// lower, upper: W and Wᵀ, those of `coarse` or a copy that is closer.
   /// vectors: [4, n] of the patch alone.
   TM_HOST_DEVICE RowsCoarseLevel(Team& team, const view::PatchesView& patches, const view::CoarseView<Real>& coarse,
-                                 const CoarseLists& lists, Real* vectors)
+                                 const CoarseLists& lists, const Real* lower, const Real* upper, Real* vectors)
       : team_(team),
         patches_(patches),
         patch_(view::patch_of(patches, team.patch())),
         coarse_(coarse),
         lists_(lists),
         unknowns_(static_cast<std::uint32_t>(coarse_unknowns(coarse))),
+        lower_(lower),
+        upper_(upper),
         rows_(coarse.rows + view::kCoarseRowReals * patch_.local_begin),
         c_(vectors),
         y_(c_ + unknowns_),
@@ -314,10 +288,7 @@ class RowsCoarseLevel {
   /// Adds up d of all patches. Call after the exchange of an iteration.
   TM_HOST_DEVICE void receive(std::uint32_t iteration) {
     collect(iteration, d_);
-    Real sums[1] = {};
-    team_.for_each(0, unknowns_, [&](std::uint32_t i) { sums[0] += y_[i] * d_[i]; });
-    team_.patch_sum(sums);
-    yd_ = sums[0];
+    yd_ = whole_sum(team_, unknowns_, [&](std::uint32_t i) { return y_[i] * d_[i]; });
   }
   TM_HOST_DEVICE Real cy() const { return cy_; }  ///< c · y, which is r · z − r · r
   TM_HOST_DEVICE Real yd() const { return yd_; }  ///< y · d, which is p · q − r · q
@@ -366,18 +337,16 @@ class RowsCoarseLevel {
     const auto all = [n](std::uint32_t) { return n; };
     each_sum(
         team_, n, zero, next,
-        [&](std::uint32_t k, std::uint32_t j) { return coarse_.lower[std::size_t{n} * k + j] * c_[j]; },
+        [&](std::uint32_t k, std::uint32_t j) { return lower_[lower_place(k, j)] * c_[j]; },
         [&](std::uint32_t k, Real sum) { t_[k] = sum; });
     team_.sync();
     each_sum(
         team_, n, itself, all,
-        [&](std::uint32_t j, std::uint32_t k) { return coarse_.upper[std::size_t{n} * j + k] * t_[k]; },
+        [&](std::uint32_t j, std::uint32_t k) { return upper_[upper_place(n, j, k)] * t_[k]; },
         [&](std::uint32_t j, Real sum) { y_[j] = sum; });
-    Real square[1] = {};
-    team_.for_each(0, n, [&](std::uint32_t k) { square[0] += t_[k] * t_[k]; });
-    team_.patch_sum(square);
+    const Real square = whole_sum(team_, n, [&](std::uint32_t k) { return t_[k] * t_[k]; });
     team_.sync();
-    return square[0];
+    return square;
   }
 
   Team& team_;
@@ -386,6 +355,7 @@ class RowsCoarseLevel {
   const view::CoarseView<Real>& coarse_;
   const CoarseLists& lists_;
   const std::uint32_t unknowns_;
+  const Real *const lower_, *const upper_;
   Real* const rows_;
   Real *const c_, *const y_, *const d_, *const t_;
   Real cy_ = 0, yd_ = 0;

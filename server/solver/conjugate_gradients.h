@@ -85,6 +85,7 @@ class Recurrence {
     if (is_along_last()) {
       alpha_ = pq > 0 ? quotient(qq, pq) : Real(0);
       beta_ = 0;
+      gained_ += alpha_ * qq;
       ++iterations_;
       return true;
     }
@@ -99,6 +100,7 @@ class Recurrence {
     alpha_ = quotient(rr, pq);
     rr_next_ = maximum(rr - 2 * alpha_ * pq + alpha_ * alpha_ * qq, Real(0));
     beta_ = quotient(rr_next_, rr);
+    gained_ += alpha_ * rr;
     ++iterations_;
     return true;
   }
@@ -122,11 +124,18 @@ class Recurrence {
   TM_HOST_DEVICE bool goes_on() const {
     return iterations_ < max_iterations_ && !(rr_next_ <= tolerance_squared_ * first_rr_);
   }
+  /// Reports the energy that the solve has gained, at the iterations at which missing_energy.h needs it. One thread must
+  /// call it after each update.
+  TM_HOST_DEVICE void report_gain(const view::SolveView<Real>& solve) const {
+    if (iterations_ == max_iterations_ / 2) solve.report->gained_energy[0] = gained_;
+    if (iterations_ == max_iterations_ - max_iterations_ / 4) solve.report->gained_energy[1] = gained_;
+  }
   TM_HOST_DEVICE void report(const view::SolveView<Real>& solve) const {
     using std::sqrt;
     solve.report->relative_residual = first_rr_ == 0 ? Real(0) : sqrt(rr_next_ / first_rr_);
     solve.report->iterations = iterations_;
     solve.report->negative_curvature = negative_curvature_ ? 1 : 0;
+    solve.report->gained_energy[2] = gained_;
   }
 
   TM_HOST_DEVICE Real alpha() const { return alpha_; }
@@ -138,6 +147,7 @@ class Recurrence {
   std::uint32_t max_iterations_;
   bool starts_from_last_;
   Real alpha_ = 0, beta_ = 0, first_rr_ = 0, rr_next_ = 0;
+  Real gained_ = 0;  // x·Âx: each iteration adds α r·r, or α p·r along the last step's solution
   std::uint32_t iterations_ = 0;
   bool negative_curvature_ = false;
   // Only of a solve with a coarse level.
@@ -275,6 +285,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
       view::store3<Real>(p, local, next_direction(residual, view::load3<Real>(p, local), beta));
     });
     if constexpr (Coarse::kExists) coarse.add_modes(p);
+    if (team.leads()) recurrence.report_gain(solve);
     team.sync();
   } while (recurrence.goes_on());
 

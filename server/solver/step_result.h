@@ -6,6 +6,7 @@
 #include <limits>
 #include <span>
 
+#include "solver/missing_energy.h"
 #include "view/balance.h"
 #include "view/guard.h"
 #include "view/links.h"
@@ -22,6 +23,7 @@ inline constexpr double kContactJump = 0.1;
 struct StepResult {
   std::uint32_t cg_iterations = 0;  ///< sum over all solves of the step
   double cg_relative_residual = 0;  ///< after the last solve
+  double missing_energy_j = 0;      ///< missing_energy.h, of the last solve
   bool negative_curvature = false;
   bool finite = true;
   bool bodies_jumped = false;  ///< forces between bodies changed by more than kContactJump of them
@@ -102,9 +104,12 @@ NewtonResidual read_residual(std::span<const view::PatchResidual<Real>> patches)
 }
 
 /// The result of one solve and of the motion that follows it. min_det_f: only of elements that the solve checks.
+/// cg_max_iterations: of the solve.
 template <class Real>
-StepResult read_step(const view::SolveReport<Real>& solve, std::span<const view::PatchReport<Real>> patches) {
+StepResult read_step(const view::SolveReport<Real>& solve, std::uint32_t cg_max_iterations,
+                     std::span<const view::PatchReport<Real>> patches) {
   StepResult result;
+  result.missing_energy_j = missing_energy_j(solve, cg_max_iterations);
   result.cg_iterations = solve.iterations;
   result.cg_relative_residual = static_cast<double>(solve.relative_residual);
   result.negative_curvature = solve.negative_curvature != 0;

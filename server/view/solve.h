@@ -15,6 +15,9 @@ struct SolveReport {
   Real relative_residual;
   std::uint32_t iterations;
   std::uint32_t negative_curvature;  // 1 if the iteration stopped on it
+  // x·Âx that the solve had gained [J] after a half and three quarters of the iterations that it may take, and at its
+  // end. The first two are not written before (solver/missing_energy.h).
+  Real gained_energy[3];
 };
 
 template <class Real>

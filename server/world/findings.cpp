@@ -38,6 +38,19 @@ void add(Finding finding, const model::Model& m, v1::SceneStatus& status) {
   step::add(finding, status);
 }
 
+/// Returns in words how far a step fell short whose solve missed an energy [J]; empty if that is not known.
+std::string shortfall(const model::Model& m, double missing_energy_j) {
+  double mass_kg = 0;
+  for (std::size_t row = 0; row < m.layout.row_count; ++row) {
+    const double weight = m.inertia[4 * row + 3];
+    if (m.rest[4 * row + 3] != 0) mass_kg += weight * weight * m.inertia[4 * row];
+  }
+  const solver::StepError error = solver::step_error(missing_energy_j, mass_kg, m.dt_s);
+  if (!(error.displacement_m > 0)) return {};
+  return fmt::format(", by about {:.1g} mm in a step, and forces on bodies are off by up to about {:.1g} N",
+                     error.displacement_m * 1e3, error.force_n);
+}
+
 const std::string& body_of_group(const model::Model& m, std::size_t group) {
   const std::uint32_t element = m.groups[group].elements.front();
   const auto holds = [&](const model::BodyModel& body) { return element - body.element_begin < body.element_count; };
@@ -80,6 +93,7 @@ bool Findings::take_step(const World& world) {
   if (!result.converged) unconverged_steps_.fetch_add(1, kRelaxed);
   const bool above = world.model().cg_tolerance > 0 && result.cg_relative_residual > world.model().cg_tolerance;
   solves_above_.store(solves_above_.load(kRelaxed) << 1 | (above ? 1u : 0u), kRelaxed);
+  if (above) missing_energy_j_.store(result.missing_energy_j, kRelaxed);
   solves_.store(std::min(solves_.load(kRelaxed) + 1, kWindow), kRelaxed);
   newton_iterations_.store(result.newton_iterations, kRelaxed);
   newton_residual_.store(result.newton_residual, kRelaxed);
@@ -115,7 +129,7 @@ void Findings::clear() {
   for (auto* count : {&cg_iterations_, &newton_iterations_, &touching_nodes_, &broken_springs_}) {
     count->store(0, kRelaxed);
   }
-  for (auto* value : {&cg_residual_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_, &dissipated_j_,
+  for (auto* value : {&cg_residual_, &missing_energy_j_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_, &dissipated_j_,
                       &deepest_contact_m_, &momentum_error_}) {
     value->store(0, kRelaxed);
   }
@@ -181,8 +195,9 @@ void Findings::add_solve(const model::Model& m, v1::SceneStatus& status) const {
            .limit = thresholds::kMax,
            .place = "scene.solver.cg_max_iterations",
            .message = fmt::format("{} of the last {} solves ended above cg_tolerance = {:.2g}, the last one after {} "
-                                  "iterations with a residual of {:.2g}: tissue moves less than it should",
-                                  above, solves, m.cg_tolerance, status.cg_iterations(), status.cg_relative_residual()),
+                                  "iterations with a residual of {:.2g}: tissue moves less than it should{}",
+                                  above, solves, m.cg_tolerance, status.cg_iterations(), status.cg_relative_residual(),
+                                  shortfall(m, missing_energy_j_.load(kRelaxed))),
            .remedy = "give it more cg_max_iterations, or take smaller steps"},
           m, status);
     }

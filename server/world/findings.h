@@ -62,7 +62,8 @@ class Findings {
   const IterationBudget& budget_;
   std::atomic<std::uint32_t> cg_iterations_{0}, newton_iterations_{0}, touching_nodes_{0}, broken_springs_{0};
   std::atomic<std::uint64_t> unconverged_steps_{0};
-  std::atomic<double> cg_residual_{0}, newton_residual_{0}, deepest_contact_m_{0}, momentum_error_{0};
+  std::atomic<double> cg_residual_{0}, missing_energy_j_{0}, newton_residual_{0}, deepest_contact_m_{0},
+      momentum_error_{0};
   std::atomic<double> kinetic_j_{0}, elastic_j_{0}, work_j_{0}, dissipated_j_{0};
   std::atomic<bool> converged_{true}, negative_curvature_{false};
   /// Bits of the last solves, the newest lowest: whether it ended above cg_tolerance. solves_: up to kWindow.

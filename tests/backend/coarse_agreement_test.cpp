@@ -9,7 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "model/compile.h"
-#include "support/laws.h"
+#include "support/cutting.h"
 #include "support/ridges.h"
 #include "support/scenes.h"
 #include "world/world.h"
@@ -36,8 +36,9 @@ v1::Scene scene_of(const tests::Beam& beam, std::optional<bool> coarse_level = {
   return scene;
 }
 
-std::unique_ptr<world::World> start(const backend::Backend& backend, const v1::Scene& scene) {
-  auto model = model::compile(scene, backend.patch_policy(model::requested_cpu_threads(scene)));
+std::unique_ptr<world::World> start(const backend::Backend& backend, const v1::Scene& scene,
+                                    const model::SceneCuts& cuts = {}) {
+  auto model = model::compile(scene, backend.patch_policy(model::requested_cpu_threads(scene)), {}, cuts);
   if (!model) throw std::runtime_error(model.error().message);
   auto world = world::World::create(std::make_unique<const model::Model>(std::move(*model)), backend);
   if (!world) throw std::runtime_error(world.error().message);
@@ -198,6 +199,20 @@ TEST_F(CudaCoarseLevel, ServesBodiesThatTouch) {
   const std::vector<double> found = after(*cuda, 60);
   EXPECT_EQ(found, after(*again, 60)) << "it repeats bitwise";
   EXPECT_LT(relative_difference(found, after(*cpu, 60)), 1e-3);
+}
+
+/// A cut right through the ligament makes two bodies. Patches then have rows of both.
+TEST_F(CudaCoarseLevel, ServesALigamentThatIsCutThrough) {
+  tests::Beam exact = ligament();
+  exact.double_precision = true;
+  exact.cg_max_iterations = 20000;
+  exact.cg_tolerance = 1e-10;
+  tests::CutBody body(scene_of(ligament()));
+  body.move({{0.021, -0.001, -0.001}, {0.021, -0.001, 0.006}}, {{0.021, 0.006, -0.001}, {0.021, 0.006, 0.006}});
+  const auto reference = start(*cuda_, scene_of(exact, false), body.cuts()),
+             world = start(*cuda_, scene_of(ligament()), body.cuts());
+  EXPECT_LT(relative_difference(after(*world, 10), after(*reference, 10)), 0.01);
+  EXPECT_LT(world->last().cg_iterations, 60u);
 }
 
 /// Each shape, and a law with constant tensors.

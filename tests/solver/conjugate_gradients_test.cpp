@@ -197,7 +197,7 @@ TEST_P(Patches, ReportNan) {
     b[3 * node + 1] = std::numeric_limits<double>::quiet_NaN();
     staged.put(staged.view.matrix.rhs, b);
     solve(staged);
-    EXPECT_FALSE(solver::read_step<double>(*staged.view.solve.report,
+    EXPECT_FALSE(solver::read_step<double>(*staged.view.solve.report, staged.model.cg_max_iterations,
                                            {staged.view.guard.patch_reports, staged.view.patches.patch_count})
                      .finite);
   }

@@ -1,6 +1,8 @@
 #include "support/staged_scene.h"
 
 #include <thread>
+#include <type_traits>
+#include <vector>
 
 #include "backend/cpu/elements.h"
 #include "solver/coarse_rows.h"
@@ -13,29 +15,57 @@ namespace tensormass::tests {
 
 namespace {
 
-/// A team that takes one row at a time, as a thread of a GPU does.
-struct RowTeam : backend::cpu::Team {
+/// A team that takes one row at a time, as a thread of a GPU does. It hides kOneThread: stages then run what a GPU runs.
+class RowTeam : private backend::cpu::Team {
+ public:
   using backend::cpu::Team::Team;
+  using Team::exchange;
+  using Team::for_each;
+  using Team::for_lanes;
+  using Team::leads;
+  using Team::leads_patch;
+  using Team::meet;
+  using Team::patch;
+  using Team::patch_sum;
+  using Team::sync;
   template <class Real>
   using Lanes = SingleLane<Real>;
 };
+
+/// Computes W of solver/coarse_rows.h by Eigen; on a GPU a kernel does it.
+template <class Real>
+void invert(const view::CoarseView<Real>& coarse) {
+  const auto n = static_cast<std::uint32_t>(solver::coarse_unknowns(coarse));
+  const Eigen::Map<const Eigen::MatrixXd> upper(coarse.sums, n, n);  // row by row: its lower triangle is this one's upper
+  const Eigen::MatrixXd factor = upper.transpose().selfadjointView<Eigen::Lower>().llt().matrixL();
+  const Eigen::MatrixXd w = factor.triangularView<Eigen::Lower>().solve(Eigen::MatrixXd::Identity(n, n));
+  for (std::uint32_t k = 0; k < n; ++k) {
+    for (std::uint32_t j = 0; j <= k; ++j) {
+      coarse.lower[solver::lower_place(k, j)] = coarse.upper[solver::upper_place(n, j, k)] = static_cast<Real>(w(k, j));
+    }
+  }
+}
 
 }  // namespace
 
 template <class Real>
 void StagedScene<Real>::run(const step::Stage& stage) {
   const view::ElementView<Real>& elements = groups_[stage.group];
-  const auto on_each_patch = [&](const auto& run_stage) {
+  const auto on_each_patch_by = [&]<class Team>(std::type_identity<Team>, const auto& run_stage) {
     backend::cpu::Barrier barrier(view.patches.patch_count);
     std::vector<std::thread> threads;
     for (std::uint32_t patch = 0; patch < view.patches.patch_count; ++patch) {
       threads.emplace_back([&, patch] {
-        RowTeam team(patch, view.patches.patch_count, barrier);
+        Team team(patch, view.patches.patch_count, barrier);
         run_stage(team);
       });
     }
     for (std::thread& thread : threads) thread.join();
   };
+  const auto on_each_patch = [&](const auto& run_stage) {
+    on_each_patch_by(std::type_identity<backend::cpu::Team>{}, run_stage);
+  };
+  const auto by_rows = [&](const auto& run_stage) { on_each_patch_by(std::type_identity<RowTeam>{}, run_stage); };
   if (model.layout.storage == matrix::Storage::kRows) {  // assembled as on a GPU
     constexpr std::uint32_t kCapacity = 20;              // columns: most rows fit, some come in turns
     if (stage.info->kind == step::StageKind::kElements) {
@@ -50,28 +80,28 @@ void StagedScene<Real>::run(const step::Stage& stage) {
   }
   if (uses_coarse_ && model.layout.storage == matrix::Storage::kRows) {
     if (stage.info->kind == step::StageKind::kRowErrors) {
-      return on_each_patch([&](RowTeam& team) {
+      return by_rows([&](RowTeam& team) {
         solver::measure_errors_of_rows(team, view.patches, view.state, view.matrix, coarse);
       });
     }
     if (stage.info->kind == step::StageKind::kCoarseLevel) {
-      on_each_patch([&](RowTeam& team) {
+      by_rows([&](RowTeam& team) {
         solver::sum_free_parts_of_rows(team, view.patches, view.state, view.matrix, coarse);
         if (!team.leads()) return;
         for (std::uint32_t pair = 0; pair < coarse_lists.pair_count; ++pair) {
           solver::assemble_coarse_pair(team, pair, view.patches, view.state, view.matrix, coarse, coarse_lists);
         }
-        std::vector<double> scratch(solver::coarse_scratch(solver::coarse_unknowns(coarse)));
-        solver::invert_coarse(team, coarse, scratch.data());
+        invert(coarse);
       });
       return;
     }
     if (stage.info->kind == step::StageKind::kSolve) {
-      return on_each_patch([&](RowTeam& team) {
+      return by_rows([&](RowTeam& team) {
         solver::measure_losses_of_rows(team, view.patches, view.matrix, coarse);
         team.meet();
         std::vector<Real> vectors(4 * solver::coarse_unknowns(coarse));
-        solver::RowsCoarseLevel<RowTeam, Real> level(team, view.patches, coarse, coarse_lists, vectors.data());
+        solver::RowsCoarseLevel<RowTeam, Real> level(team, view.patches, coarse, coarse_lists, coarse.lower,
+                                                     coarse.upper, vectors.data());
         solver::conjugate_gradients(team, view.patches, view.state, view.matrix, view.solve, view.links, level);
       });
     }

@@ -212,7 +212,8 @@ class CpuState final : public SceneState {
     return solver::read_residual<Real>({view_.newton.residuals, view_.patches.patch_count});
   }
   StepResult result() const {
-    return solver::read_step<Real>(*view_.solve.report, {view_.guard.patch_reports, view_.patches.patch_count});
+    return solver::read_step<Real>(*view_.solve.report, inputs_.control->cg_max_iterations,
+                                   {view_.guard.patch_reports, view_.patches.patch_count});
   }
 
  private:
@@ -233,11 +234,8 @@ class CpuState final : public SceneState {
   }
   void choose_level() { uses_coarse_ = coarse_.aggregate_count > 0 && checkpoint_.coarse().is_on(model_); }
   void take_solve() { checkpoint_.coarse().take_solve(view_.solve.report->iterations, uses_coarse_); }
-  /// Returns whether a step must be made again because it ended above its tolerance, and now has a coarse level. So no
-  /// step is published unsolved only because the last one did not need the coarse level.
-  bool ends_unsolved(const StepResult& result) const {
-    return !uses_coarse_ && coarse_.aggregate_count > 0 && checkpoint_.coarse().is_on(model_) && result.finite &&
-           !result.negative_curvature && result.cg_relative_residual > model_.cg_tolerance;
+  bool ends_unsolved(const StepResult& result) {
+    return coarse_.aggregate_count > 0 && checkpoint_.coarse().repeats(model_, result, uses_coarse_);
   }
   /// The calling thread is patch 0. A barrier starts the team and one ends each stage. Without a stage there would be
   /// none after the first, and the caller could write its next command before a worker has read this one.

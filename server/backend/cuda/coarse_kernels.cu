@@ -46,6 +46,14 @@ class CoarseTeam : public SolveTeam<Real> {
       }
     }
   }
+  /// solver::whole_sum: every warp adds up everything in the same order.
+  template <class Term>
+  __device__ Real whole_sum(std::uint32_t count, const Term& term) const {
+    Real sum = 0;
+    for (std::uint32_t i = threadIdx.x % kWarp; i < count; i += kWarp) sum += term(i);
+    for (unsigned mask = kWarp / 2; mask > 0; mask /= 2) sum += __shfl_xor_sync(0xFFFFFFFFu, sum, mask);
+    return sum;
+  }
 };
 
 template <class Real>
@@ -64,16 +72,102 @@ template <class Real>
 __global__ void __launch_bounds__(kStageThreads) assemble_matrix(const __grid_constant__ CoarseScene<Real> s) {
   solver::assemble_coarse_pair(Team(), blockIdx.x, s.scene.patches, s.scene.state, s.scene.matrix, s.coarse, s.lists);
 }
+/// Computes W by elimination of E and of the identity side by side: row i of both −= E_ik / E_kk · row k, for k = 0, 1,
+/// .. Column k of E is no longer needed then, so column k of W takes its place. W is scaled at the end.
+///
+/// The triangle is in registers: thread (x, y) of 32 × 16 has the elements (y + 16 a, x + 32 b), b ≤ a / 2. In each of n
+/// steps, shared memory carries column k of E and row k of W from those that have them to all.
 template <class Real>
 __global__ void __launch_bounds__(kCoarseThreads) invert_matrix(const __grid_constant__ CoarseScene<Real> s) {
-  extern __shared__ double scratch[];
-  solver::invert_coarse(Team(), s.coarse, scratch);
+  constexpr unsigned kUnknowns = view::kRigidModes * view::kMaxAggregates, kWidth = 32, kHeight = kCoarseThreads / kWidth;
+  constexpr unsigned kA = kUnknowns / kHeight, kB = kUnknowns / kWidth;
+  static_assert(kUnknowns % kWidth == 0 && kWidth == 2 * kHeight);
+  __shared__ double columns[2][kUnknowns], rows[2][kUnknowns], least[kUnknowns], scale[kUnknowns];
+  const auto n = static_cast<unsigned>(solver::coarse_unknowns(s.coarse));
+  const unsigned x = threadIdx.x % kWidth, y = threadIdx.x / kWidth;
+  double triangle[kA][kB];  // those beyond b = a / 2 do not exist
+#pragma unroll
+  for (unsigned a = 0; a < kA; ++a) {
+#pragma unroll
+    for (unsigned b = 0; b <= a / 2; ++b) {
+      const unsigned i = y + kHeight * a, j = x + kWidth * b;
+      triangle[a][b] = i < n && j <= i ? s.coarse.sums[std::size_t{n} * i + j] : 0;
+      if (i == j) least[i] = solver::kLeastPivot * triangle[a][b];
+    }
+  }
+#pragma unroll
+  for (unsigned block = 0; block < kB; ++block) {
+#pragma unroll 1
+    for (unsigned in_block = 0; in_block < kWidth; ++in_block) {
+      const unsigned k = kWidth * block + in_block;
+      if (k >= n) break;
+      double* const column = columns[k % 2];  // by parity: the last step's may still be read
+      double* const row = rows[k % 2];
+      if (x == in_block) {
+#pragma unroll
+        for (unsigned a = 2 * block; a < kA; ++a) column[y + kHeight * a] = triangle[a][block];
+      }
+      if (y == k % kHeight) {
+#pragma unroll
+        for (unsigned b = 0; b <= block; ++b) {
+          row[x + kWidth * b] = in_block < kHeight ? triangle[2 * block][b] : triangle[2 * block + 1][b];
+        }
+      }
+      __syncthreads();
+      const double pivot = column[k];
+      const bool kept = pivot > least[k];  // else the mode is left out
+      const double inverse = kept ? 1 / pivot : 0;
+      if (threadIdx.x == 0) scale[k] = std::sqrt(inverse);
+      double other[kB];
+#pragma unroll
+      for (unsigned b = 0; b < kB; ++b) {
+        const unsigned j = x + kWidth * b;
+        other[b] = j < k ? row[j] : j > k ? column[j] : 1;
+      }
+#pragma unroll
+      for (unsigned a = 2 * block; a < kA; ++a) {
+        const unsigned i = y + kHeight * a;
+        if (i <= k) continue;
+        const double factor = column[i] * inverse;
+#pragma unroll
+        for (unsigned b = 0; b <= a / 2; ++b) {
+          const double before = x + kWidth * b == k ? 0 : triangle[a][b];
+          triangle[a][b] = before - factor * other[b];
+        }
+      }
+    }
+  }
+  __syncthreads();
+#pragma unroll
+  for (unsigned a = 0; a < kA; ++a) {
+#pragma unroll
+    for (unsigned b = 0; b <= a / 2; ++b) {
+      const unsigned i = y + kHeight * a, j = x + kWidth * b;
+      if (i >= n || j > i) continue;
+      const auto value = static_cast<Real>(scale[i] * (j < i ? triangle[a][b] : 1));
+      s.coarse.lower[solver::lower_place(i, j)] = value;
+      s.coarse.upper[solver::upper_place(n, j, i)] = value;
+    }
+  }
 }
 template <class Real>
 __global__ void __launch_bounds__(kCoarseThreads) solve_system(const __grid_constant__ CoarseScene<Real> s) {
   __shared__ Real vectors[4 * view::kRigidModes * view::kMaxAggregates];
+  extern __shared__ float4 shared[];
+  const Real *lower = s.coarse.lower, *upper = s.coarse.upper;
+  if (const auto n = static_cast<unsigned>(solver::coarse_unknowns(s.coarse)); coarse_shared_bytes<Real>(n) > 0) {
+    auto* const copy = reinterpret_cast<Real*>(shared);
+    const unsigned reals = solver::triangle_reals(n);
+    for (unsigned i = threadIdx.x; i < reals; i += kCoarseThreads) {
+      copy[i] = lower[i];
+      copy[reals + i] = upper[i];
+    }
+    lower = copy;
+    upper = copy + reals;
+  }
   CoarseTeam<Real> team(s.scene.solve.report);
-  solver::RowsCoarseLevel<CoarseTeam<Real>, Real> level(team, s.scene.patches, s.coarse, s.lists, vectors);
+  solver::RowsCoarseLevel<CoarseTeam<Real>, Real> level(team, s.scene.patches, s.coarse, s.lists, lower, upper,
+                                                        vectors);
   solver::conjugate_gradients(team, s.scene.patches, s.scene.state, s.scene.matrix, s.scene.solve, s.scene.links, level);
 }
 

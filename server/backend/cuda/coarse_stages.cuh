@@ -53,9 +53,7 @@ class CoarseStages {
   void launch_matrix(cudaStream_t stream) {
     launch(kernels_.sums, by_rows(), kStageThreads, stream);
     launch(kernels_.matrix, view_.lists.pair_count, kStageThreads, stream);
-    const std::size_t bytes = solver::coarse_scratch(solver::coarse_unknowns(view_.coarse)) * sizeof(double);
-    if (bytes > allow_all_shared_bytes(kernels_.invert)) throw CudaFailure("no room for the inverse coarse matrix");
-    launch(kernels_.invert, 1, kCoarseThreads, stream, bytes);
+    launch(kernels_.invert, 1, kCoarseThreads, stream);
   }
   /// Solves the scaled system.
   void launch_solve(cudaStream_t stream) {
@@ -63,12 +61,16 @@ class CoarseStages {
     int resident = 0, processors = 0, device = 0;
     check(cudaGetDevice(&device), "device");
     check(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device), "device");
-    check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&resident, kernels_.solve, kCoarseThreads, 0), "coarse level");
+    const std::size_t bytes = coarse_shared_bytes<Real>(static_cast<std::uint32_t>(coarse_unknowns(view_.coarse)));
+    if (bytes > allow_all_shared_bytes(kernels_.solve)) throw CudaFailure("no room for the inverse of the coarse level");
+    check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&resident, kernels_.solve, kCoarseThreads, bytes),
+          "coarse level");
     if (resident * processors < static_cast<int>(model_.layout.patch_count)) {
       throw CudaFailure("the scene's patches do not fit on the device at once with a coarse level");
     }
     void* arguments[] = {&view_};
-    check(cudaLaunchCooperativeKernel(kernels_.solve, model_.layout.patch_count, kCoarseThreads, arguments, 0, stream),
+    check(cudaLaunchCooperativeKernel(kernels_.solve, model_.layout.patch_count, kCoarseThreads, arguments, bytes,
+                                      stream),
           "solve with a coarse level");
   }
   /// Elements of a group that the fused solve would check, as the stage that checks inversion reads them. Linear
@@ -84,9 +86,9 @@ class CoarseStages {
     const std::uint32_t patches = model_.layout.patch_count;
     return {patches, model_.layout.row_count / patches / kStageThreads + 1};
   }
-  void launch(const void* kernel, dim3 grid, unsigned threads, cudaStream_t stream, std::size_t shared_bytes = 0) {
+  void launch(const void* kernel, dim3 grid, unsigned threads, cudaStream_t stream) {
     void* arguments[] = {&view_};
-    check(cudaLaunchKernel(kernel, grid, threads, arguments, shared_bytes, stream), "coarse level");
+    check(cudaLaunchKernel(kernel, grid, threads, arguments, 0, stream), "coarse level");
   }
 
   const model::Model& model_;

@@ -8,6 +8,7 @@
 #include <sys/prctl.h>
 
 #include "backend/cuda/memory.cuh"
+#include "model/model.h"
 
 /// Streams and graphs that end with their owner, and how to wait for them.
 ///
@@ -56,6 +57,15 @@ cudaError_t wait_and_look(cudaStream_t stream, std::chrono::microseconds awake, 
     const timespec sleep{0, kSleepNs};
     nanosleep(&sleep, nullptr);
   }
+}
+
+/// Whether a solve may take so long, on a slow device, that a caller of `stop` would have to wait for it.
+template <class Real>
+bool may_take_long(const model::Model& model) {
+  constexpr double kLongS = 0.25, kLatencyS = 3e-5, kBytesPerS = 2e11;
+  const double blocks = double{view::kSliceRows} * model.layout.slice_begin.back();
+  const double iteration_s = kLatencyS + 9 * sizeof(Real) * blocks / kBytesPerS;
+  return model.cg_max_iterations * iteration_s > kLongS;
 }
 
 /// Records the work that enqueue() puts into the stream as a graph, without running it.

@@ -383,6 +383,7 @@ __global__ void __launch_bounds__(Threads, 1)
                                   solver::next_direction(hr[i].z, hp[i].z, beta), 0};
       }
     }
+    if (thread == 0 && patch.index == 0) recurrence.report_gain(s.solve);
     __syncthreads();
   } while (recurrence.goes_on());
 

@@ -55,7 +55,7 @@ class CudaState final : public SceneState {
         stages_(step::list_stages(model)),
         device_(device),
         shares_(shares),
-        takes_long_(may_take_long(model)),
+        takes_long_(may_take_long<Real>(model)),
         inputs_(StepInputs::bytes_of<physics::PlacedTool<Real>>(model.tools.size()) +
                     StepInputs::bytes_of<Real>(4 * model.prescribed.size()) +
                     StepInputs::bytes_of<view::StepControl<Real>>(1),
@@ -131,7 +131,7 @@ class CudaState final : public SceneState {
     throw_if_stopped();
     if (!model_.iterates()) {
       result = this->result();
-      if (input.saves_checkpoint && ends_unsolved(result)) {
+      if (input.saves_checkpoint && coarse_.exists() && checkpoint_.coarse().repeats(model_, result, uses_coarse_)) {
         restore();
         *control_.host = checkpoint_.begin(model_, input);
         run_linearized();
@@ -280,7 +280,7 @@ class CudaState final : public SceneState {
   StepResult result() {
     wait("step");
     take_solve();
-    return solver::read_step<Real>(*solve_.data(), patches_.span());
+    return solver::read_step<Real>(*solve_.data(), control_.host->cg_max_iterations, patches_.span());
   }
 
  private:
@@ -311,12 +311,6 @@ class CudaState final : public SceneState {
     solve_is_new_ = false;
     checkpoint_.coarse().take_solve(solve_.data()->iterations, solve_had_coarse_);
   }
-  /// Returns whether a step must be made again because it ended above its tolerance, and now has a coarse level. So no
-  /// step is published unsolved only because the last one did not need the coarse level.
-  bool ends_unsolved(const StepResult& result) const {
-    return !uses_coarse_ && coarse_.exists() && checkpoint_.coarse().is_on(model_) && result.finite &&
-           !result.negative_curvature && result.cg_relative_residual > model_.cg_tolerance;
-  }
   void launch_graph(const Graph& graph, const char* what) { check(cudaGraphLaunch(graph.get(), stream()), what); }
   void launch_frame() {
     if (const Graph& frame = graph(step::Phase::kFrame)) launch_graph(frame, "frame");
@@ -334,13 +328,6 @@ class CudaState final : public SceneState {
       if (stopped()) ask_for_end(*solve_.data());
     };
     check(wait_and_look(stream(), shares_ ? std::chrono::microseconds{0} : kAwake, look), what);
-  }
-  /// Whether a solve may take so long, on a slow device, that a caller of `stop` would have to wait for it.
-  static bool may_take_long(const model::Model& model) {
-    constexpr double kLongS = 0.25, kLatencyS = 3e-5, kBytesPerS = 2e11;
-    const double blocks = double{view::kSliceRows} * model.layout.slice_begin.back();
-    const double iteration_s = kLatencyS + 9 * sizeof(Real) * blocks / kBytesPerS;
-    return model.cg_max_iterations * iteration_s > kLongS;
   }
   cudaStream_t stream() const { return stream_.get(); }
   /// Waits for copies from pageable memory and for clearing, which have a stream of their own. It does not wait for the

@@ -167,6 +167,7 @@ __global__ void __launch_bounds__(Threads, 1)
     }
     gamma = postpones ? alpha / beta : 0;
     __syncthreads();
+    if (thread == 0 && patch.index == 0) recurrence.report_gain(s.solve);
   } while (recurrence.goes_on());
 
   // Adds the update that the last iteration has postponed. No barrier is needed: each thread moves the rows that it
