@@ -333,7 +333,7 @@ view::CoarseView<Real> bind_coarse(const Model& m, Arena& arena) {
   c.upper = arena.template zeros<Real>("transposed coarse factor", n * n);
   c.inverse_pivots = arena.template zeros<Real>("coarse pivots", edges ? n : 0);
   c.rows = arena.template zeros<Real>("rigid modes of rows", view::kCoarseRowReals * local);
-  c.exchanged = arena.template zeros<Real>("coarse sums", 2 * patches * padded);
+  c.exchanged = arena.template zeros<Real>("coarse sums", 2 * view::kCoarseExchanged * patches * padded);
   const std::size_t rows = count > 0 ? m.layout.row_count : 0;
   c.row_sums = arena.template zeros<double>("sums of rows", 9 * rows);
   c.row_errors = arena.template zeros<Real>("rounding errors of rows", 9 * rows);

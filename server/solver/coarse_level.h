@@ -28,8 +28,9 @@
 ///
 /// 1. M⁻¹ is positive definite whatever E is, as long as C is real. Modes that hardly resist are left out: their pivots
 ///    are below kLeastPivot of the diagonal.
-/// 2. An iteration still communicates once. c is not summed anew: c' = c − α Ẑᵀ q. Ẑᵀ q of the patches travels with the
-///    other sums.
+/// 2. An iteration still communicates once. Ẑᵀ q and Ẑᵀ r of the patches travel with the other sums, and c' = Ẑᵀ r −
+///    α Ẑᵀ q. Ẑᵀ r is summed anew each time, as r·r is. By recurrence alone c drifts away from r, and E⁻¹ multiplies
+///    the difference: solves of nearly incompressible tissue then ended with numbers that were not finite.
 /// 3. Links between bodies are left out of E, except for their part of the diagonal blocks.
 /// 4. E is formed in double precision from the blocks as they are stored, before they are scaled.
 /// 5. In float the blocks' rounding errors alone would leave a ligament half off. So a solve with a coarse level
@@ -252,9 +253,9 @@ class CoarseLevel {
       const Vec3<Real> x = place_in_aggregate(state, coarse_, row, aggregate);
       for (int i = 0; i < 3; ++i) to[8 + i] = x[i];
     }
-    publish(r, 1);
+    publish(r, 1, kResidual);
     team_.meet();
-    collect(1, c_);
+    collect(1, kResidual, c_);
     cy_ = solve(c_, y_);
   }
   /// Adds δ p to q = Â p of the patch (row_sums.h). p: [own + halo, 4]; q: [own, 4]
@@ -270,30 +271,15 @@ class CoarseLevel {
       Lanes::store3(q, local, sum);
     }
   }
-  /// Publishes the patch's part of d = Ẑᵀ q. Call before the exchange of an iteration. q: [own, 4]
-  void publish(const Real* q, std::uint32_t iteration) {
-    Real* const to = exchanged(iteration, patch_.index);
-    std::fill(to, to + size_, Real(0));
-    for (std::uint32_t local = 0; local < patch_.own(); local += Lanes::kWidth) {
-      T row[view::kCoarseRowReals];
-      load_rows(local, row);
-      const Vec3<T> v = Lanes::load3(q, local);
-      const Vec3<T> f(row[0] * v[0], row[1] * v[0] + row[2] * v[1], row[3] * v[0] + row[4] * v[1] + row[5] * v[2]);
-      const T* x = row + 8;
-      T modes[view::kCoarseStride] = {
-          f[0], f[1], f[2], x[1] * f[2] - x[2] * f[1], x[2] * f[0] - x[0] * f[2], x[0] * f[1] - x[1] * f[0],
-          T(0), T(0)};
-      alignas(64) Real records[Lanes::kWidth * view::kCoarseStride];
-      Lanes::scatter(records, view::kCoarseStride, modes);
-      for (std::uint32_t lane = 0; lane < Lanes::kWidth; ++lane) {
-        Real* const sum = to + aggregate_of(local + lane);
-        for (std::uint32_t i = 0; i < view::kCoarseStride; ++i) sum[i] += records[lane * view::kCoarseStride + i];
-      }
-    }
+  /// Publishes the patch's part of c = Ẑᵀ r and d = Ẑᵀ q. Call before the exchange of an iteration. r, q: [own, 4]
+  void publish(const Real* r, const Real* q, std::uint32_t iteration) {
+    publish(r, iteration, kResidual);
+    publish(q, iteration, kProduct);
   }
-  /// Adds up d of all patches. Call after the exchange of an iteration.
+  /// Adds up c and d of all patches. Call after the exchange of an iteration.
   void receive(std::uint32_t iteration) {
-    collect(iteration, d_);
+    collect(iteration, kResidual, c_);
+    collect(iteration, kProduct, d_);
     yd_ = 0;
     for (std::size_t i = 0; i < size_; ++i) yd_ += y_[i] * d_[i];
   }
@@ -321,6 +307,30 @@ class CoarseLevel {
   }
 
  private:
+  /// The two coarse vectors of an iteration that patches exchange: Ẑᵀ r and Ẑᵀ q.
+  enum Exchanged : std::uint32_t { kResidual, kProduct };
+
+  /// Publishes the patch's part of Ẑᵀ v. v: [own, 4]
+  void publish(const Real* v_of_rows, std::uint32_t iteration, Exchanged which) {
+    Real* const to = exchanged(iteration, patch_.index, which);
+    std::fill(to, to + size_, Real(0));
+    for (std::uint32_t local = 0; local < patch_.own(); local += Lanes::kWidth) {
+      T row[view::kCoarseRowReals];
+      load_rows(local, row);
+      const Vec3<T> v = Lanes::load3(v_of_rows, local);
+      const Vec3<T> f(row[0] * v[0], row[1] * v[0] + row[2] * v[1], row[3] * v[0] + row[4] * v[1] + row[5] * v[2]);
+      const T* x = row + 8;
+      T modes[view::kCoarseStride] = {
+          f[0], f[1], f[2], x[1] * f[2] - x[2] * f[1], x[2] * f[0] - x[0] * f[2], x[0] * f[1] - x[1] * f[0],
+          T(0), T(0)};
+      alignas(64) Real records[Lanes::kWidth * view::kCoarseStride];
+      Lanes::scatter(records, view::kCoarseStride, modes);
+      for (std::uint32_t lane = 0; lane < Lanes::kWidth; ++lane) {
+        Real* const sum = to + aggregate_of(local + lane);
+        for (std::uint32_t i = 0; i < view::kCoarseStride; ++i) sum[i] += records[lane * view::kCoarseStride + i];
+      }
+    }
+  }
   void load_rows(std::uint32_t local, T (&row)[view::kCoarseRowReals]) const {
     Lanes::gather_records(
         row, [&](std::uint32_t lane) { return rows_ + std::size_t{view::kCoarseRowReals} * (local + lane); });
@@ -330,13 +340,14 @@ class CoarseLevel {
     const std::uint32_t aggregate = coarse_.row_aggregate[view::global_row(patches_, patch_, local)];
     return aggregate == view::kNoAggregate ? 0 : std::size_t{view::kCoarseStride} * aggregate;
   }
-  Real* exchanged(std::uint32_t iteration, std::uint32_t patch) const {
-    return coarse_.exchanged + (std::size_t{iteration & 1} * patches_.patch_count + patch) * size_;
+  Real* exchanged(std::uint32_t iteration, std::uint32_t patch, Exchanged which) const {
+    return coarse_.exchanged +
+           ((std::size_t{iteration & 1} * patches_.patch_count + patch) * view::kCoarseExchanged + which) * size_;
   }
-  void collect(std::uint32_t iteration, Real* total) const {
-    std::copy_n(exchanged(iteration, 0), size_, total);
+  void collect(std::uint32_t iteration, Exchanged which, Real* total) const {
+    std::copy_n(exchanged(iteration, 0, which), size_, total);
     for (std::uint32_t patch = 1; patch < patches_.patch_count; ++patch) {
-      const Real* const part = exchanged(iteration, patch);
+      const Real* const part = exchanged(iteration, patch, which);
       for (std::size_t i = 0; i < size_; ++i) total[i] += part[i];
     }
   }

@@ -22,8 +22,8 @@
 ///
 /// 1. A row has all of its blocks, so each row forms its own sums, and no thread adds to another's.
 /// 2. E has a team for each pair of aggregates that are coupled. Sums run in a fixed order: results repeat bitwise.
-/// 3. A kernel of the GPU computes W from E. Triangular systems with C would take n steps, one after the other. Products with W and Wᵀ take one each. M⁻¹ is
-///    positive definite whatever rounding does to W.
+/// 3. A kernel of the GPU computes W from E. Triangular systems with C would take n steps, one after the other.
+///    Products with W and Wᵀ take one each. M⁻¹ is positive definite whatever rounding does to W.
 /// 4. Every patch computes t and y for itself, from the same sums in the same order. So an iteration communicates once.
 namespace tensormass::solver {
 
@@ -252,9 +252,9 @@ class RowsCoarseLevel {
       }
       for (std::uint32_t i = 0; i < 11; ++i) rows_[std::size_t{view::kCoarseRowReals} * local + i] = modes[i];
     });
-    publish(r, 1);
+    publish(r, r, 1);
     team_.meet();
-    collect(1, c_);
+    collect(1, 0, c_);
     cy_ = solve();
   }
   /// Adds δ p to q = Â p of a row.
@@ -262,32 +262,38 @@ class RowsCoarseLevel {
     const Real* const loss = coarse_.row_losses + std::size_t{view::kRowLossReals} * row;
     for (int i = 0; i < 3; ++i) q[i] += loss[3 * i] * p[0] + loss[3 * i + 1] * p[1] + loss[3 * i + 2] * p[2];
   }
-  /// Publishes the patch's part of d = Ẑᵀ q. Call before the exchange of an iteration. q: [own, 4]
-  TM_HOST_DEVICE void publish(const Real* q, std::uint32_t iteration) {
+  /// Publishes the patch's part of c = Ẑᵀ r and d = Ẑᵀ q. Call before the exchange of an iteration. r, q: [own, 4]
+  TM_HOST_DEVICE void publish(const Real* r, const Real* q, std::uint32_t iteration) {
+    constexpr std::uint32_t kModes = view::kRigidModes;
     team_.sync();  // other threads may have written to q
     const std::uint32_t end = lists_.patch_entries[patch_.index + 1];
     for (std::uint32_t entry = lists_.patch_entries[patch_.index]; entry < end; ++entry) {
       const std::uint32_t aggregate = lists_.entry_aggregate[entry];
-      Real sums[view::kRigidModes] = {};
+      Real sums[2 * kModes] = {};
       team_.for_each(0, patch_.own(), [&](std::uint32_t local) {
         if (coarse_.row_aggregate[patch_.row_begin + local] != aggregate) return;
         const Real* const row = rows_ + std::size_t{view::kCoarseRowReals} * local;
         const Real* const x = row + 8;
-        const Vec3<Real> v = view::load3<Real>(q, local);
-        const Vec3<Real> f(row[0] * v[0], row[1] * v[0] + row[2] * v[1], row[3] * v[0] + row[4] * v[1] + row[5] * v[2]);
-        for (int i = 0; i < 3; ++i) sums[i] += f[i];
-        sums[3] += x[1] * f[2] - x[2] * f[1];
-        sums[4] += x[2] * f[0] - x[0] * f[2];
-        sums[5] += x[0] * f[1] - x[1] * f[0];
+        const auto add = [&](const Vec3<Real>& v, Real* to) {
+          const Vec3<Real> f(row[0] * v[0], row[1] * v[0] + row[2] * v[1],
+                             row[3] * v[0] + row[4] * v[1] + row[5] * v[2]);
+          for (int i = 0; i < 3; ++i) to[i] += f[i];
+          to[3] += x[1] * f[2] - x[2] * f[1];
+          to[4] += x[2] * f[0] - x[0] * f[2];
+          to[5] += x[0] * f[1] - x[1] * f[0];
+        };
+        add(view::load3<Real>(r, local), sums);
+        add(view::load3<Real>(q, local), sums + kModes);
       });
       team_.patch_sum(sums);
       if (!team_.leads_patch()) continue;
-      for (std::uint32_t i = 0; i < view::kRigidModes; ++i) exchanged(iteration, entry)[i] = sums[i];
+      for (std::uint32_t i = 0; i < 2 * kModes; ++i) exchanged(iteration, entry)[i] = sums[i];
     }
   }
-  /// Adds up d of all patches. Call after the exchange of an iteration.
+  /// Adds up c and d of all patches. Call after the exchange of an iteration.
   TM_HOST_DEVICE void receive(std::uint32_t iteration) {
-    collect(iteration, d_);
+    collect(iteration, 0, c_);
+    collect(iteration, view::kRigidModes, d_);
     yd_ = whole_sum(team_, unknowns_, [&](std::uint32_t i) { return y_[i] * d_[i]; });
   }
   TM_HOST_DEVICE Real cy() const { return cy_; }  ///< c · y, which is r · z − r · r
@@ -305,8 +311,8 @@ class RowsCoarseLevel {
     team_.for_each(0, patch_.own() + patch_.halo_count, [&](std::uint32_t local) {
       const std::uint32_t aggregate = coarse_.row_aggregate[view::global_row(patches_, patch_, local)];
       if (aggregate == view::kNoAggregate) return;
-      const Vec3<Real> moved = detail::motion<Real>(rows_ + std::size_t{view::kCoarseRowReals} * local,
-                                                    y_ + view::kRigidModes * aggregate);
+      const Vec3<Real> moved =
+          detail::motion<Real>(rows_ + std::size_t{view::kCoarseRowReals} * local, y_ + view::kRigidModes * aggregate);
       view::store3<Real>(p, local, Vec3<Real>(view::load3<Real>(p, local) + moved));
     });
     team_.sync();
@@ -315,14 +321,16 @@ class RowsCoarseLevel {
  private:
   TM_HOST_DEVICE Real* exchanged(std::uint32_t iteration, std::uint32_t entry) const {
     const std::uint32_t entries = lists_.patch_entries[patches_.patch_count];
-    return coarse_.exchanged + view::kCoarseStride * (std::size_t{iteration & 1} * entries + entry);
+    return coarse_.exchanged +
+           view::kCoarseExchanged * view::kCoarseStride * (std::size_t{iteration & 1} * entries + entry);
   }
-  TM_HOST_DEVICE void collect(std::uint32_t iteration, Real* total) const {
+  /// Adds up one of the two vectors of all patches. first: where its modes begin in an entry.
+  TM_HOST_DEVICE void collect(std::uint32_t iteration, std::uint32_t first, Real* total) const {
     team_.for_each(0, unknowns_, [&](std::uint32_t i) {
       const std::uint32_t aggregate = i / view::kRigidModes, mode = i % view::kRigidModes;
       Real sum = 0;
       for (std::uint32_t k = lists_.aggregate_entries[aggregate]; k < lists_.aggregate_entries[aggregate + 1]; ++k) {
-        sum += exchanged(iteration, lists_.entries[k])[mode];
+        sum += exchanged(iteration, lists_.entries[k])[first + mode];
       }
       total[i] = sum;
     });
@@ -336,13 +344,11 @@ class RowsCoarseLevel {
     const auto next = [](std::uint32_t i) { return i + 1; };
     const auto all = [n](std::uint32_t) { return n; };
     each_sum(
-        team_, n, zero, next,
-        [&](std::uint32_t k, std::uint32_t j) { return lower_[lower_place(k, j)] * c_[j]; },
+        team_, n, zero, next, [&](std::uint32_t k, std::uint32_t j) { return lower_[lower_place(k, j)] * c_[j]; },
         [&](std::uint32_t k, Real sum) { t_[k] = sum; });
     team_.sync();
     each_sum(
-        team_, n, itself, all,
-        [&](std::uint32_t j, std::uint32_t k) { return upper_[upper_place(n, j, k)] * t_[k]; },
+        team_, n, itself, all, [&](std::uint32_t j, std::uint32_t k) { return upper_[upper_place(n, j, k)] * t_[k]; },
         [&](std::uint32_t j, Real sum) { y_[j] = sum; });
     const Real square = whole_sum(team_, n, [&](std::uint32_t k) { return t_[k] * t_[k]; });
     team_.sync();

@@ -124,8 +124,8 @@ class Recurrence {
   TM_HOST_DEVICE bool goes_on() const {
     return iterations_ < max_iterations_ && !(rr_next_ <= tolerance_squared_ * first_rr_);
   }
-  /// Reports the energy that the solve has gained, at the iterations at which missing_energy.h needs it. One thread must
-  /// call it after each update.
+  /// Reports the energy that the solve has gained, at the iterations at which missing_energy.h needs it. One thread
+  /// must call it after each update.
   TM_HOST_DEVICE void report_gain(const view::SolveView<Real>& solve) const {
     if (iterations_ == max_iterations_ / 2) solve.report->gained_energy[0] = gained_;
     if (iterations_ == max_iterations_ - max_iterations_ / 4) solve.report->gained_energy[1] = gained_;
@@ -251,7 +251,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
       }
     }
     const bool along_last = recurrence.is_along_last();
-    if constexpr (Coarse::kExists) coarse.publish(own_product, iteration);
+    if constexpr (Coarse::kExists) coarse.publish(r, own_product, iteration);
     Real sums[3] = {Lanes::sum(sum_pq) + link_pq, along_last ? Lanes::sum(sum_pr) : Lanes::sum(sum_qq) + link_qq,
                     Lanes::sum(sum_rr)};
     team.exchange(sums, solve.reduction + std::size_t{iteration & 1} * 4 * patches.patch_count);

@@ -16,15 +16,15 @@
 ///
 ///   e·A e = G_∞ − G_n ≈ late · max(q / (1 − q), 1)
 ///
-/// The first of the two is a geometric series (Golub & Meurant 2010 has such estimates). Convergence comes in stairs; so
-/// one step of them must not count as the end.
+/// The first of the two is a geometric series (Golub & Meurant 2010 has such estimates). Convergence comes in stairs;
+/// so one step of them must not count as the end.
 ///
 /// 1. The residual does not tell this: in a slender body its norm says nothing about smooth errors.
 /// 2. A ⪰ M gives bounds that follow from the energy alone, without another pass over the rows: dt √(e·A e / m) for the
-///    root mean square of the error in displacement, weighted by mass, and √(m e·A e) / dt for the error of the force on a
-///    free body.
-/// 3. docs/decisions/preconditioner.md compares the estimate with converged solutions: √(e·A e) is right within a factor of
-///    three at up to 100 iterations.
+///    root mean square of the error in displacement, weighted by mass, and √(m e·A e) / dt for the error of the force
+///    on a free body.
+/// 3. docs/decisions/preconditioner.md compares the estimate with converged solutions. At up to 100 iterations
+///    √(e·A e) is right within a factor of about two, if the solve is far from its end.
 namespace tensormass::solver {
 
 /// Largest q: the gain may grow for a while, and then the series would not end.
@@ -45,7 +45,7 @@ double missing_energy_j(const view::SolveReport<Real>& report, std::uint32_t max
 /// The error of a step that the energy e·A e implies.
 struct StepError {
   double displacement_m = 0;  ///< root mean square over the scene, weighted by mass
-  double force_n = 0;         ///< of the force on a free body
+  double force_n = 0;         ///< error of the force on a free body
 };
 
 /// mass_kg: of the scene's free rows.

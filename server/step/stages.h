@@ -298,7 +298,7 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) { return Cost{s.rows * 4 * 4 * s.real, s.rows * 24}; }},
   {StageKind::kCoarseLevel, Phase::kSolve, Scope::kScene, Communication::kNone,
    "coarse level", "matrix, displacement", "sums of rows, factor of the coarse matrix",
-   "on a CPU, once a solve has taken more than 80 iterations, or if the scene asks for it",
+   "once a solve has taken more than 80 iterations, or if the scene asks for it; not before a streamed solve",
    [](const StageSizes& s) { return s.m.aggregates.count() > 0; },
    [](const StageSizes& s) {
      const double n = view::kRigidModes * static_cast<double>(s.m.aggregates.count());

@@ -37,12 +37,14 @@ struct CoarseView {
   Real* upper;           // [n, n] Cᵀ, row by row
   Real* inverse_pivots;  // [n] 1 / C_kk; 0: the mode is left out
   Real* rows;            // [own + halo of every patch, kCoarseRowReals]
-  Real* exchanged;   // [2, patch_count, kCoarseStride · aggregate_count] sums of patches by parity of the iteration
+  Real* exchanged;   // [2, patch_count, kCoarseExchanged, kCoarseStride · aggregate_count] by parity of the iteration
   double* row_sums;  // [row_count, 9] sums of blocks, row by row (solver/row_sums.h)
   Real* row_errors;  // [row_count, 9] e
   Real* row_losses;  // [row_count, kRowLossReals] δ
   Real* vectors;     // [patch_count, kCoarseVectors, kCoarseStride · aggregate_count] solver/coarse_level.h
 };
+/// Coarse vectors that patches exchange in an iteration: their parts of Ẑᵀ r and Ẑᵀ q.
+inline constexpr std::uint32_t kCoarseExchanged = 2;
 /// Coarse vectors of a patch: c, y, d, and one to solve in.
 inline constexpr std::uint32_t kCoarseVectors = 4;
 

@@ -129,8 +129,8 @@ void Findings::clear() {
   for (auto* count : {&cg_iterations_, &newton_iterations_, &touching_nodes_, &broken_springs_}) {
     count->store(0, kRelaxed);
   }
-  for (auto* value : {&cg_residual_, &missing_energy_j_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_, &dissipated_j_,
-                      &deepest_contact_m_, &momentum_error_}) {
+  for (auto* value : {&cg_residual_, &missing_energy_j_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_,
+                      &dissipated_j_, &deepest_contact_m_, &momentum_error_}) {
     value->store(0, kRelaxed);
   }
   window_steps_ = window_repeated_ = 0;

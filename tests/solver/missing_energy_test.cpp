@@ -31,8 +31,8 @@ constexpr tests::Beam kBlock{.cells_x = 10,
                              .young_modulus_pa = 2e4};
 
 struct Shortfall {
-  double energy_j, estimate_j;         // e·A e
-  double worst_m, estimated_m;         // error of the displacement
+  double energy_j, estimate_j;  // e·A e
+  double worst_m, estimated_m;  // error of the displacement
   double mass_kg = 0;
 };
 

@@ -15,7 +15,8 @@ namespace tensormass::tests {
 
 namespace {
 
-/// A team that takes one row at a time, as a thread of a GPU does. It hides kOneThread: stages then run what a GPU runs.
+/// A team that takes one row at a time, as a thread of a GPU does. It hides kOneThread: stages then run what a GPU
+/// runs.
 class RowTeam : private backend::cpu::Team {
  public:
   using backend::cpu::Team::Team;
@@ -36,7 +37,8 @@ class RowTeam : private backend::cpu::Team {
 template <class Real>
 void invert(const view::CoarseView<Real>& coarse) {
   const auto n = static_cast<std::uint32_t>(solver::coarse_unknowns(coarse));
-  const Eigen::Map<const Eigen::MatrixXd> upper(coarse.sums, n, n);  // row by row: its lower triangle is this one's upper
+  // The sums are stored row by row: their lower triangle is the upper one of this matrix.
+  const Eigen::Map<const Eigen::MatrixXd> upper(coarse.sums, n, n);
   const Eigen::MatrixXd factor = upper.transpose().selfadjointView<Eigen::Lower>().llt().matrixL();
   const Eigen::MatrixXd w = factor.triangularView<Eigen::Lower>().solve(Eigen::MatrixXd::Identity(n, n));
   for (std::uint32_t k = 0; k < n; ++k) {
@@ -80,9 +82,8 @@ void StagedScene<Real>::run(const step::Stage& stage) {
   }
   if (uses_coarse_ && model.layout.storage == matrix::Storage::kRows) {
     if (stage.info->kind == step::StageKind::kRowErrors) {
-      return by_rows([&](RowTeam& team) {
-        solver::measure_errors_of_rows(team, view.patches, view.state, view.matrix, coarse);
-      });
+      return by_rows(
+          [&](RowTeam& team) { solver::measure_errors_of_rows(team, view.patches, view.state, view.matrix, coarse); });
     }
     if (stage.info->kind == step::StageKind::kCoarseLevel) {
       by_rows([&](RowTeam& team) {

@@ -141,9 +141,8 @@ class StagedScene {
   view::SceneView<Real> view = bound_.view;
   model::HostInputs<Real> inputs = bound_.inputs;
   view::CoarseView<Real> coarse = model::bind_coarse<Real>(model, arena_);
-  solver::CoarseLists coarse_lists = model.layout.storage == matrix::Storage::kRows
-                                         ? model::bind_coarse_lists(model, arena_)
-                                         : solver::CoarseLists{};
+  solver::CoarseLists coarse_lists =
+      model.layout.storage == matrix::Storage::kRows ? model::bind_coarse_lists(model, arena_) : solver::CoarseLists{};
 
  private:
   bool uses_coarse_ = false;

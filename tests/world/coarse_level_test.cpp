@@ -158,7 +158,38 @@ TEST(CoarseSwitch, TurnsOnAfterALongSolveAndStaysOn) {
   int solves = 0;
   for (; one.is_on(settings); ++solves) one.take_solve(3, true);
   EXPECT_EQ(solves, 256);
-  EXPECT_EQ(backend::CoarseSwitch(0xFFFFFFFF).left(), 256u) << "a saved state may say anything";
+  EXPECT_EQ(backend::CoarseSwitch(0xFFFFFFFF).left(), 512u) << "a saved state may say anything";
+}
+
+TEST(CoarseSwitch, TurnsOffAfterASolveThatFailed) {
+  model::Settings settings;
+  settings.cg_tolerance = 1e-2;
+  const auto ends = [](double residual, bool finite, bool negative_curvature) {
+    solver::StepResult result;
+    result.cg_relative_residual = residual;
+    result.finite = finite;
+    result.negative_curvature = negative_curvature;
+    return result;
+  };
+  const auto is_failure = [&](const solver::StepResult& result) {
+    backend::CoarseSwitch one(256);
+    if (!one.repeats(settings, result, true)) return false;
+    int solves = 0;
+    for (; !one.is_on(settings) && solves < 1000; ++solves) one.take_solve(1000, false);
+    EXPECT_EQ(solves, 257) << "off for 256 solves, and on after the next long one";
+    return true;
+  };
+  EXPECT_FALSE(is_failure(ends(1e-3, true, false)));
+  EXPECT_FALSE(is_failure(ends(0.5, true, false))) << "it ran out of iterations";
+  EXPECT_TRUE(is_failure(ends(1e-3, false, false)));
+  EXPECT_TRUE(is_failure(ends(1.5, true, false)));
+  EXPECT_TRUE(is_failure(ends(0.5, true, true)));
+  EXPECT_FALSE(is_failure(ends(1e-3, true, true)));
+  backend::CoarseSwitch on(256), off;
+  EXPECT_TRUE(on.repeats(settings, ends(0.5, true, false), false)) << "unsolved, and now there is a coarse level";
+  EXPECT_FALSE(off.repeats(settings, ends(0.5, true, false), false));
+  settings.coarse_use = model::CoarseUse::kAlways;
+  EXPECT_FALSE(on.repeats(settings, ends(0.5, false, false), true)) << "the scene asks for it";
 }
 
 TEST(CoarseSwitch, DoesWhatTheSceneSays) {

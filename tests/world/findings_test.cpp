@@ -94,7 +94,7 @@ TEST_P(FindingsOf, SolvesThatEndAboveTheirToleranceAreAFindingWhileTheyDo) {
 }
 
 TEST_P(FindingsOf, ASolveThatEndsAboveItsToleranceSaysHowFarItFellShort) {
-  // A ligament in the first step of a fall, 0.98 mm of free fall, of which 20 iterations make a small part.
+  // A ligament in the first step of a fall. It should move by up to 0.98 mm; 20 iterations make a small part.
   v1::Scene scene = tests::beam_scene({.cells_x = 20,
                                        .size_x_m = 0.04,
                                        .size_y_m = 0.005,

@@ -96,11 +96,12 @@ class CpuState final : public SceneState {
       result = solver::newton_step<Real>(*this, model_.newton_max_iterations, model_.newton_tolerance,
                                          input.projects_stiffness, checkpoint_.largest_force_squared());
       if (model_.extrapolates()) result.take_motion(this->result());
+      repeats(result);  // the guard makes the step again if it failed; it is then told to do without
       if (input.gather_visible) gather_visible();
     } else {
       run_linearized(input);
       result = this->result();
-      if (input.saves_checkpoint && ends_unsolved(result)) {
+      while (repeats(result) && input.saves_checkpoint) {
         restore();
         *inputs_.control = checkpoint_.begin(model_, input);
         run_linearized(input);
@@ -234,7 +235,7 @@ class CpuState final : public SceneState {
   }
   void choose_level() { uses_coarse_ = coarse_.aggregate_count > 0 && checkpoint_.coarse().is_on(model_); }
   void take_solve() { checkpoint_.coarse().take_solve(view_.solve.report->iterations, uses_coarse_); }
-  bool ends_unsolved(const StepResult& result) {
+  bool repeats(const StepResult& result) {
     return coarse_.aggregate_count > 0 && checkpoint_.coarse().repeats(model_, result, uses_coarse_);
   }
   /// The calling thread is patch 0. A barrier starts the team and one ends each stage. Without a stage there would be

@@ -75,11 +75,12 @@ __global__ void __launch_bounds__(kStageThreads) assemble_matrix(const __grid_co
 /// Computes W by elimination of E and of the identity side by side: row i of both −= E_ik / E_kk · row k, for k = 0, 1,
 /// .. Column k of E is no longer needed then, so column k of W takes its place. W is scaled at the end.
 ///
-/// The triangle is in registers: thread (x, y) of 32 × 16 has the elements (y + 16 a, x + 32 b), b ≤ a / 2. In each of n
-/// steps, shared memory carries column k of E and row k of W from those that have them to all.
+/// The triangle is in registers: thread (x, y) of 32 × 16 has the elements (y + 16 a, x + 32 b), b ≤ a / 2. In each of
+/// n steps, shared memory carries column k of E and row k of W from those that have them to all.
 template <class Real>
 __global__ void __launch_bounds__(kCoarseThreads) invert_matrix(const __grid_constant__ CoarseScene<Real> s) {
-  constexpr unsigned kUnknowns = view::kRigidModes * view::kMaxAggregates, kWidth = 32, kHeight = kCoarseThreads / kWidth;
+  constexpr unsigned kUnknowns = view::kRigidModes * view::kMaxAggregates, kWidth = 32,
+                     kHeight = kCoarseThreads / kWidth;
   constexpr unsigned kA = kUnknowns / kHeight, kB = kUnknowns / kWidth;
   static_assert(kUnknowns % kWidth == 0 && kWidth == 2 * kHeight);
   __shared__ double columns[2][kUnknowns], rows[2][kUnknowns], least[kUnknowns], scale[kUnknowns];
@@ -168,7 +169,8 @@ __global__ void __launch_bounds__(kCoarseThreads) solve_system(const __grid_cons
   CoarseTeam<Real> team(s.scene.solve.report);
   solver::RowsCoarseLevel<CoarseTeam<Real>, Real> level(team, s.scene.patches, s.coarse, s.lists, lower, upper,
                                                         vectors);
-  solver::conjugate_gradients(team, s.scene.patches, s.scene.state, s.scene.matrix, s.scene.solve, s.scene.links, level);
+  solver::conjugate_gradients(team, s.scene.patches, s.scene.state, s.scene.matrix, s.scene.solve, s.scene.links,
+                              level);
 }
 
 }  // namespace

@@ -35,7 +35,8 @@ struct CoarseKernels {
   const void* losses;  ///< δ; likewise
   const void* matrix;  ///< E: a block for each pair of aggregates
   const void* invert;  ///< W: one block of kCoarseThreads
-  const void* solve;   ///< conjugate gradients: cooperative, a block of kCoarseThreads for each patch, coarse_shared_bytes
+  /// Conjugate gradients: cooperative, a block of kCoarseThreads for each patch, coarse_shared_bytes of shared memory.
+  const void* solve;
 };
 template <class Real>
 CoarseKernels coarse_kernels();

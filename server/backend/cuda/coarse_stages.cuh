@@ -61,8 +61,10 @@ class CoarseStages {
     int resident = 0, processors = 0, device = 0;
     check(cudaGetDevice(&device), "device");
     check(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device), "device");
-    const std::size_t bytes = coarse_shared_bytes<Real>(static_cast<std::uint32_t>(coarse_unknowns(view_.coarse)));
-    if (bytes > allow_all_shared_bytes(kernels_.solve)) throw CudaFailure("no room for the inverse of the coarse level");
+    const std::size_t bytes =
+        coarse_shared_bytes<Real>(static_cast<std::uint32_t>(solver::coarse_unknowns(view_.coarse)));
+    if (bytes > allow_all_shared_bytes(kernels_.solve))
+      throw CudaFailure("no room for the inverse of the coarse level");
     check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&resident, kernels_.solve, kCoarseThreads, bytes),
           "coarse level");
     if (resident * processors < static_cast<int>(model_.layout.patch_count)) {

@@ -41,8 +41,8 @@
 ///    decides which one is next.
 /// 2. Everything that a step needs is allocated in the constructor.
 /// 3. A scene that shares the device uses only its share of the multiprocessors.
-/// 4. A scene whose solves may get a coarse level (coarse_stages.cuh) has each graph twice. The host decides before each
-///    step, or before each Newton iteration, which one it launches.
+/// 4. A scene whose solves may get a coarse level (coarse_stages.cuh) has each graph twice. The host decides before
+///    each step, or before each Newton iteration, which one it launches.
 namespace tensormass::backend::cuda {
 
 template <class Real>
@@ -123,6 +123,7 @@ class CudaState final : public SceneState {
       result = solver::newton_step<Real>(*this, model_.newton_max_iterations, model_.newton_tolerance,
                                          input.projects_stiffness, checkpoint_.largest_force_squared());
       if (model_.extrapolates()) result.take_motion(this->result());
+      repeats(result);  // the guard makes the step again if it failed; it is then told to do without
     } else {
       run_linearized();
     }
@@ -131,7 +132,7 @@ class CudaState final : public SceneState {
     throw_if_stopped();
     if (!model_.iterates()) {
       result = this->result();
-      if (input.saves_checkpoint && coarse_.exists() && checkpoint_.coarse().repeats(model_, result, uses_coarse_)) {
+      while (repeats(result) && input.saves_checkpoint) {
         restore();
         *control_.host = checkpoint_.begin(model_, input);
         run_linearized();
@@ -298,6 +299,9 @@ class CudaState final : public SceneState {
   /// Decides whether the next evaluation and the solve after it have a coarse level. With Newton's method, a solve
   /// whose end the host has not seen does not count yet: the wait would cost more than the coarse level saves.
   void choose_level() { uses_coarse_ = coarse_.exists() && checkpoint_.coarse().is_on(model_); }
+  bool repeats(const StepResult& result) {
+    return coarse_.exists() && checkpoint_.coarse().repeats(model_, result, uses_coarse_);
+  }
   void begin_solve() {
     if (solve_had_coarse_ && !uses_coarse_) {  // the next one reports inverted elements elsewhere
       std::fill(min_det_f_.span().begin(), min_det_f_.span().end(), std::numeric_limits<Real>::infinity());

@@ -341,7 +341,8 @@ class Scene:
             allow_unconverged: keep a quasi-static step that ends above it, instead of stopping the scene.
             cpu_threads: threads of the scene on the CPU backend.
             coarse_level: whether linear solves know the rigid motion of pieces of bodies, as stiff, slender ones need.
-                Without a value a scene has it once a solve takes more than 80 iterations. On the CPU backend only.
+                Without a value a scene has it once a solve takes more than 80 iterations. A GPU that streams the matrix
+                of a very large scene has none.
 
         Raises:
             InvalidArgumentError: a wrong argument; the message names it. The daemon checks the ranges.
