@@ -31,8 +31,9 @@
 /// 3. Internal forces have neither a sum nor a moment at the end of a step, so they do not occur.
 /// 4. A contact that slides keeps its force μ N ξ / |ξ| under c, but for its turn: K has no part along ξ. If c would
 ///    reverse the slip, K has the secant μ N / |ξ| there as well, which never does.
-/// 5. A body that touches another free body counts the other as it moved in the solve. Their pair is then exact only as
-///    far as the solve is.
+/// 5. Free bodies that links may join are partners. A link takes from one what it gives the other only if both
+/// equations
+///    know both motions, so those of all partners are solved as one system.
 namespace tensormass::contact {
 
 /// Force of friction on the tissue at Coulomb's limit, and how it changes with a motion of the tissue.
@@ -253,8 +254,39 @@ TM_HOST_DEVICE void add_links(const view::StateView<Real>& state, const view::Li
   });
 }
 
+/// Adds how a partner's motion changes the impulses of the links of a row of a free body.
+template <class Real>
+TM_HOST_DEVICE void add_partner(const view::StateView<Real>& state, const view::LinksView<Real>& links,
+                                const view::BalanceView<Real>& balance, const Vec3<Real>& center, std::uint32_t row,
+                                std::uint32_t partner, view::PartnerSums& out) {
+  using std::abs;
+  const double factor = static_cast<double>(view::contact_factor(state));
+  const Vec3<Real> partner_center = view::position(state, balance.center_rows[partner]);
+  for_each_link(links, row, [&](const view::Link<Real>& link, std::uint32_t role) {
+    Real weight = 0;
+    Vec3<Real> arm = Vec3<Real>::Zero();
+    for (std::uint32_t other = 0; other < 4; ++other) {
+      if (link.weight[other] == 0 || balance.row_body[link.rows[other]] != partner) continue;
+      weight += link.weight[other];
+      arm += (view::position(state, link.rows[other]) - partner_center) * link.weight[other];
+    }
+    if (!(abs(weight) > Real(1e-3))) return;  // the link is not between the two
+    const Mat3<double> k =
+        stiffness_of(link).template cast<double>() * (factor * static_cast<double>(link.weight[role] * weight));
+    const Mat3<double> r = cross_matrix<double>((view::position(state, row) - center).template cast<double>());
+    const Mat3<double> turned = -k * cross_matrix<double>((arm / weight).template cast<double>());
+    const Mat3<double> moment = r * k, moment_turned = r * turned;
+    for (int i = 0; i < 9; ++i) {
+      out.moved[i] += k(i / 3, i % 3);
+      out.moved[9 + i] += moment(i / 3, i % 3);
+      out.turned[i] += turned(i / 3, i % 3);
+      out.turned[9 + i] += moment_turned(i / 3, i % 3);
+    }
+  });
+}
+
 /// Sums what is missing in the motion of each free body, over a patch.
-/// Reads displacement, velocity, start_velocity, contacts, friction, links; writes sums.
+/// Reads displacement, velocity, start_velocity, contacts, friction, links; writes sums, partner_sums.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure_balance(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                                     const view::ContactView<Real>& contact, const view::LinksView<Real>& links,
@@ -292,6 +324,18 @@ TM_HOST_DEVICE void measure_balance(Team& team, const view::PatchesView& patches
     team.patch_sum(sums.stiffness);
     team.patch_sum(sums.along_slip);
     if (team.leads_patch()) balance.sums[entry] = sums;
+    if (balance.entry_partners == nullptr) continue;
+    for (std::uint32_t i = 0; i < balance.entry_partners[entry + 1] - balance.entry_partners[entry]; ++i) {
+      const std::uint32_t partner = balance.partners[balance.partner_begin[body] + i];
+      view::PartnerSums of_partner{};
+      team.for_each(links.patch_rows[patch.index], links.patch_rows[patch.index + 1], [&](std::uint32_t place) {
+        const std::uint32_t row = links.rows[place];
+        if (balance.row_body[row] == body) add_partner(state, links, balance, center, row, partner, of_partner);
+      });
+      team.patch_sum(of_partner.moved);
+      team.patch_sum(of_partner.turned);
+      if (team.leads_patch()) balance.partner_sums[balance.entry_partners[entry] + i] = of_partner;
+    }
   }
 }
 
@@ -326,40 +370,150 @@ TM_HOST_DEVICE inline bool solve_rigid(const double (&triangle)[view::kBalanceTr
   return true;
 }
 
-/// Finds the correction of a free body. h: motion at the end of the step over the velocity that makes it.
+/// Returns whether a correction would reverse the slip of the contacts of a body that slide. h: motion at the end of
+/// the step over the velocity that makes it.
+TM_HOST_DEVICE inline bool reverses_slip(const view::BalanceSums& total, const double (&c)[6], double h) {
+  const double pressure = total.sliding[view::kSlidingN];
+  if (!(pressure > 0)) return false;
+  const auto mean = [&](std::size_t first) -> Vec3<double> {
+    return Vec3<double>(total.sliding[first], total.sliding[first + 1], total.sliding[first + 2]) / pressure;
+  };
+  const Vec3<double> slip = mean(view::kSlidingSlip), spin(c[3], c[4], c[5]);
+  const Vec3<double> motion =
+      (Vec3<double>(c[0], c[1], c[2]) + physics::cross<double>(spin, mean(view::kSlidingArm))) * h;
+  return motion.dot(slip) > slip.dot(slip);
+}
+
+template <class Real>
+TM_HOST_DEVICE void set_motion(view::BodyCorrection<Real>& to, const double (&c)[6]) {
+  for (int i = 0; i < 3; ++i) {
+    to.velocity[i] = static_cast<Real>(c[i]);
+    to.spin[i] = static_cast<Real>(c[3 + i]);
+  }
+}
+
+/// Finds the correction of a free body without partners. h: as for reverses_slip.
 template <class Real>
 TM_HOST_DEVICE view::BodyCorrection<Real> correction_by(const view::BalanceSums& total, double h) {
   double c[6] = {0, 0, 0, 0, 0, 0};
   view::BodyCorrection<Real> out{};
   if (!solve_rigid(total.stiffness, total.defect, c)) return out;
-  if (const double pressure = total.sliding[view::kSlidingN]; pressure > 0) {
-    const auto mean = [&](std::size_t first) -> Vec3<double> {
-      return Vec3<double>(total.sliding[first], total.sliding[first + 1], total.sliding[first + 2]) / pressure;
-    };
-    const Vec3<double> slip = mean(view::kSlidingSlip), spin(c[3], c[4], c[5]);
-    const Vec3<double> motion =
-        (Vec3<double>(c[0], c[1], c[2]) + physics::cross<double>(spin, mean(view::kSlidingArm))) * h;
-    if (motion.dot(slip) > slip.dot(slip)) {
-      double stiffness[view::kBalanceTriangle];
-      for (std::size_t i = 0; i < view::kBalanceTriangle; ++i) stiffness[i] = total.stiffness[i] + total.along_slip[i];
-      solve_rigid(stiffness, total.defect, c);
-      out.with_along = 1;
-    }
+  if (reverses_slip(total, c, h)) {
+    double stiffness[view::kBalanceTriangle];
+    for (std::size_t i = 0; i < view::kBalanceTriangle; ++i) stiffness[i] = total.stiffness[i] + total.along_slip[i];
+    solve_rigid(stiffness, total.defect, c);
+    out.with_along = 1;
   }
-  for (int i = 0; i < 3; ++i) {
-    out.velocity[i] = static_cast<Real>(c[i]);
-    out.spin[i] = static_cast<Real>(c[3 + i]);
-  }
+  set_motion(out, c);
   return out;
 }
 
-/// Adds the sums of the patches and finds the correction of each free body. Bodies are shared out among patches.
-/// Reads sums, displacement; writes totals, corrections, reports.
+/// Returns the part of the system that couples the motion i of a body with the motion j of another, or of itself.
+template <class Real>
+TM_HOST_DEVICE double coupling_of(const view::BalanceView<Real>& balance, std::uint32_t body, std::uint32_t i,
+                                  std::uint32_t other, std::uint32_t j) {
+  if (body == other) {
+    const std::uint32_t row = i < j ? i : j, column = i < j ? j : i;
+    const std::uint32_t place = row * 6 - row * (row + 1) / 2 + column;  // in the upper triangle
+    const view::BalanceSums& total = balance.totals[body];
+    return total.stiffness[place] + (balance.corrections[body].with_along != 0 ? total.along_slip[place] : 0.0);
+  }
+  double sum = 0;
+  const std::uint32_t first = balance.partner_begin[body];
+  for (std::uint32_t partner = first; partner < balance.partner_begin[body + 1]; ++partner) {
+    if (balance.partners[partner] != other) continue;
+    for (std::uint32_t at = balance.body_begin[body]; at < balance.body_begin[body + 1]; ++at) {
+      const view::PartnerSums& of =
+          balance.partner_sums[balance.entry_partners[balance.body_entries[at]] + partner - first];
+      sum += j < 3 ? of.moved[3 * i + j] : of.turned[3 * i + j - 3];
+    }
+  }
+  return sum;
+}
+
+/// Solves for the motions of all free bodies at once, by S = L Lᵀ in one patch. Bodies stay where they are if S is not
+/// positive definite. Reads totals, partner_sums, corrections; writes system, motions.
+template <class Team, class Real>
+TM_HOST_DEVICE void solve_coupled(const Team& team, const view::BalanceView<Real>& balance) {
+  using std::sqrt;
+  const std::uint32_t n = 6 * balance.body_count;
+  double* const s = balance.system;
+  team.for_each(0, n * n, [&](std::uint32_t i) {
+    const std::uint32_t row = i / n, column = i % n;
+    if (column <= row) s[i] = coupling_of(balance, row / 6, row % 6, column / 6, column % 6);
+  });
+  team.for_each(0, n, [&](std::uint32_t i) { balance.motions[i] = balance.totals[i / 6].defect[i % 6]; });
+  team.sync();
+  for (std::uint32_t k = 0; k < n; ++k) {
+    const double pivot = s[k * n + k];
+    team.sync();
+    if (!(pivot > 0)) {
+      team.for_each(0, n, [&](std::uint32_t i) { balance.motions[i] = 0; });
+      team.sync();
+      return;
+    }
+    const double inverse = 1 / sqrt(pivot);
+    team.for_each(k, n, [&](std::uint32_t i) { s[i * n + k] *= inverse; });
+    team.sync();
+    const std::uint32_t left = n - k - 1;
+    team.for_each(0, left * left, [&](std::uint32_t i) {
+      const std::uint32_t row = k + 1 + i / left, column = k + 1 + i % left;
+      if (column <= row) s[row * n + column] -= s[row * n + k] * s[column * n + k];
+    });
+    team.sync();
+  }
+  if (team.leads_patch()) {
+    double* const c = balance.motions;
+    for (std::uint32_t row = 0; row < n; ++row) {
+      for (std::uint32_t i = 0; i < row; ++i) c[row] -= s[row * n + i] * c[i];
+      c[row] /= s[row * n + row];
+    }
+    for (std::uint32_t row = n; row-- > 0;) {
+      for (std::uint32_t i = row + 1; i < n; ++i) c[row] -= s[i * n + row] * c[i];
+      c[row] /= s[row * n + row];
+    }
+  }
+  team.sync();
+}
+
+/// Finds the corrections of bodies that have partners, from the totals of all.
+template <class Team, class Real>
+TM_HOST_DEVICE void correct_coupled(const Team& team, const view::BalanceView<Real>& balance, double h) {
+  const auto motion_of = [&](std::uint32_t body, double(&c)[6]) {
+    for (std::uint32_t i = 0; i < 6; ++i) c[i] = balance.motions[6 * body + i];
+  };
+  team.for_each(0, balance.body_count, [&](std::uint32_t body) { balance.corrections[body].with_along = 0; });
+  team.sync();
+  solve_coupled(team, balance);
+  team.for_each(0, balance.body_count, [&](std::uint32_t body) {
+    double c[6];
+    motion_of(body, c);
+    balance.corrections[body].with_along = reverses_slip(balance.totals[body], c, h) ? Real(1) : Real(0);
+  });
+  team.sync();
+  bool any = false;
+  for (std::uint32_t body = 0; body < balance.body_count; ++body) any |= balance.corrections[body].with_along != 0;
+  if (any) solve_coupled(team, balance);
+  team.for_each(0, balance.body_count, [&](std::uint32_t body) {
+    double c[6];
+    motion_of(body, c);
+    set_motion(balance.corrections[body], c);
+  });
+  team.sync();
+}
+
+/// Adds the sums of the patches and finds the correction of each free body. Bodies are shared out among patches, unless
+/// some have partners.
+/// Reads sums, partner_sums, displacement; writes totals, corrections, reports, system, motions.
 template <class Team, class Real>
 TM_HOST_DEVICE void solve_balance(const Team& team, const view::PatchesView& patches,
                                   const view::StateView<Real>& state, const view::BalanceView<Real>& balance) {
   using std::sqrt;
-  for (std::uint32_t body = team.patch(); body < balance.body_count; body += patches.patch_count) {
+  const bool is_coupled = balance.entry_partners != nullptr;
+  if (is_coupled && team.patch() != 0) return;
+  const double h = static_cast<double>(view::step_size(state) * state.control->scheme.reach);
+  const std::uint32_t stride = is_coupled ? 1 : patches.patch_count;
+  for (std::uint32_t body = team.patch(); body < balance.body_count; body += stride) {
     double* total = reinterpret_cast<double*>(balance.totals + body);
     team.for_each(0, static_cast<std::uint32_t>(view::kBalanceSums), [&](std::uint32_t i) {
       double sum = 0;
@@ -368,14 +522,16 @@ TM_HOST_DEVICE void solve_balance(const Team& team, const view::PatchesView& pat
       }
       total[i] = sum;
     });
-    team.sync();
-    if (!team.leads_patch()) continue;
+  }
+  team.sync();
+  if (is_coupled) correct_coupled(team, balance, h);
+  if (!team.leads_patch()) return;
+  for (std::uint32_t body = team.patch(); body < balance.body_count; body += stride) {
     const view::BalanceSums& sums = balance.totals[body];
-    view::BodyCorrection<Real> correction =
-        correction_by<Real>(sums, static_cast<double>(view::step_size(state) * state.control->scheme.reach));
+    view::BodyCorrection<Real>& correction = balance.corrections[body];
+    if (!is_coupled) correction = correction_by<Real>(sums, h);
     const Vec3<Real> center = view::position(state, balance.center_rows[body]);
     for (int c = 0; c < 3; ++c) correction.center_m[c] = center[c];
-    balance.corrections[body] = correction;
     double squared = 0;
     for (int c = 0; c < 3; ++c) squared += sums.defect[c] * sums.defect[c];
     balance.reports[body] = {static_cast<Real>(sqrt(squared)), static_cast<Real>(sums.sliding[view::kSizeOfImpulses])};

@@ -298,6 +298,13 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.balance.sums = arena.template zeros<view::BalanceSums>("missing momentum of patches", free.entry_body.size());
   s.balance.totals = arena.template zeros<view::BalanceSums>("missing momentum", free.count());
   s.balance.corrections = arena.template zeros<view::BodyCorrection<Real>>("rigid motions of bodies", free.count());
+  s.balance.partner_begin = arena.template constant<uint32_t>("partners of free bodies", free.partner_begin);
+  s.balance.partners = arena.template constant<uint32_t>("partners", free.partners);
+  s.balance.entry_partners = arena.template constant<uint32_t>("partners by patch", free.entry_partners);
+  const std::size_t coupled = only_if(!free.entry_partners.empty(), std::size_t{6} * free.count());
+  s.balance.partner_sums = arena.template zeros<view::PartnerSums>("coupling of partners", free.partner_sum_count());
+  s.balance.system = arena.template zeros<double>("system of rigid motions", coupled * coupled);
+  s.balance.motions = arena.template zeros<double>("motions of partners", coupled);
 
   s.surface.vertex_count = m.visible.point_count();
   s.surface.rows = place_buffer<EditBuffer::kVisibleRows, Real>(m, arena, bound.buffers);

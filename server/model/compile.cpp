@@ -207,7 +207,9 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
                                           .layout = model.layout,
                                           .rest = model.rest,
                                           .prescribed_rows = model.prescribed_rows,
-                                          .pressure = model.pressure});
+                                          .pressure = model.pressure,
+                                          .contacts = links.contacts,
+                                          .spring_rows = model.links.spring_rows});
   }
   if (model.frame_rate_hz > 0) {
     TM_ASSIGN_OR_RETURN(visible, make_visible_surface(scene, bodies, boundaries, model.layout));

@@ -126,6 +126,8 @@ struct FreeBodyInput {
   std::span<const double> rest;  ///< Model::rest
   const PrescribedRows& prescribed_rows;
   const PressureSurface& pressure;
+  std::span<const BodyContactModel> contacts;
+  std::span<const std::uint32_t> spring_rows;  ///< Links::spring_rows
 };
 /// Finds the free bodies whose momentum a step can balance.
 FreeBodies find_free_bodies(const FreeBodyInput& input);

@@ -1,5 +1,9 @@
 #include <algorithm>
+#include <cstddef>
 #include <limits>
+#include <numeric>
+#include <set>
+#include <utility>
 
 #include "mesh/components.h"
 #include "mesh/shapes.h"
@@ -62,6 +66,43 @@ std::uint32_t center_row(const FreeBodyInput& input, std::span<const std::uint32
   return input.layout.row_of_node[*nearest];
 }
 
+/// Finds which free bodies links may join: those that may touch, and those that a spring joins.
+void find_partners(const FreeBodyInput& input, FreeBodies& out) {
+  std::vector<std::size_t> body_of(out.count());
+  for (std::uint32_t free = 0; free < out.count(); ++free) {
+    body_of[free] = body_of_node(input.bodies.bodies, input.layout.node_of_row[out.center_rows[free]]);
+  }
+  std::set<std::pair<std::uint32_t, std::uint32_t>> pairs;
+  const auto join = [&](std::uint32_t a, std::uint32_t b) {
+    if (a == b || a == view::kNoBody || b == view::kNoBody) return;
+    pairs.emplace(a, b);
+    pairs.emplace(b, a);
+  };
+  if (out.count() <= view::kMaxCoupledBodies) {
+    for (const BodyContactModel& contact : input.contacts) {
+      for (std::uint32_t a = 0; a < out.count(); ++a) {
+        for (std::uint32_t b = 0; b < out.count(); ++b) {
+          if (body_of[a] == contact.body && body_of[b] == contact.other) join(a, b);
+        }
+      }
+    }
+    for (std::size_t i = 0; i < input.spring_rows.size(); i += 2) {
+      join(out.row_body[input.spring_rows[i]], out.row_body[input.spring_rows[i + 1]]);
+    }
+  }
+  if (pairs.empty()) return;
+  out.partner_begin.assign(out.count() + std::size_t{1}, 0);
+  for (const auto& [body, partner] : pairs) {  // ascending
+    out.partners.push_back(partner);
+    ++out.partner_begin[body + 1];
+  }
+  std::partial_sum(out.partner_begin.begin(), out.partner_begin.end(), out.partner_begin.begin());
+  out.entry_partners.assign(1, 0);
+  for (const std::uint32_t body : out.entry_body) {
+    out.entry_partners.push_back(out.entry_partners.back() + out.partner_begin[body + 1] - out.partner_begin[body]);
+  }
+}
+
 }  // namespace
 
 FreeBodies find_free_bodies(const FreeBodyInput& input) {
@@ -99,6 +140,7 @@ FreeBodies find_free_bodies(const FreeBodyInput& input) {
     out.body_entries.insert(out.body_entries.end(), of_body.begin(), of_body.end());
     out.body_begin.push_back(static_cast<std::uint32_t>(out.body_entries.size()));
   }
+  find_partners(input, out);
   return out;
 }
 

@@ -210,8 +210,13 @@ struct FreeBodies {
   std::vector<std::uint32_t> entry_body;     ///< [entry]
   std::vector<std::uint32_t> body_begin;     ///< [body + 1]
   std::vector<std::uint32_t> body_entries;   ///< [entry]
+  // Empty if no two free bodies may be joined by links, or more than view::kMaxCoupledBodies may.
+  std::vector<std::uint32_t> partner_begin;   ///< [body + 1]
+  std::vector<std::uint32_t> partners;        ///< [partner]
+  std::vector<std::uint32_t> entry_partners;  ///< [entry + 1]
 
   std::uint32_t count() const { return static_cast<std::uint32_t>(center_rows.size()); }
+  std::uint32_t partner_sum_count() const { return entry_partners.empty() ? 0 : entry_partners.back(); }
 };
 
 /// The points that clients see: vertices, body by body, then the ends of springs. Each is a weighted mean of four rows.

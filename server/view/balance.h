@@ -8,7 +8,8 @@
 /// Free bodies, whose momentum each step balances (contact/balance.h). In a scene without them all pointers are nullptr
 /// and all counts zero.
 ///
-///   entry   a free body in a patch that has rows of it
+///   entry     a free body in a patch that has rows of it
+///   partner   of a free body: another one that links may join to it
 namespace tensormass::view {
 
 inline constexpr std::uint32_t kNoBody = 0xFFFFFFFFu;
@@ -33,6 +34,15 @@ struct BalanceSums {
 };
 inline constexpr std::size_t kBalanceSums = sizeof(BalanceSums) / sizeof(double);
 
+/// How the rigid motion of a partner changes the impulse and the moment of impulse on a free body: a 6 × 6 matrix in
+/// two halves, row by row. The first has what the partner's translation does, the second what its rotation does.
+struct PartnerSums {
+  double moved[18], turned[18];
+};
+/// Most free bodies with partners whose motions are solved for together. In a scene with more, each counts its
+/// partners as the solve has moved them.
+inline constexpr std::uint32_t kMaxCoupledBodies = 16;
+
 /// The rigid motion that is added to a free body.
 template <class Real>
 struct BodyCorrection {
@@ -53,16 +63,22 @@ template <class Real>
 struct BalanceView {
   std::uint32_t body_count;  // free bodies
 
-  const std::uint32_t* row_body;       // [row_count] free body of a row, or kNoBody
-  const std::uint32_t* center_rows;    // [body_count] a row near the middle of the body
-  const std::uint32_t* patch_entries;  // [patch_count + 1] entries of a patch
-  const std::uint32_t* entry_body;     // [entry]
-  const std::uint32_t* body_begin;     // [body_count + 1] into body_entries
-  const std::uint32_t* body_entries;   // [entry] entries, body by body
+  const std::uint32_t* row_body;        // [row_count] free body of a row, or kNoBody
+  const std::uint32_t* center_rows;     // [body_count] a row near the middle of the body
+  const std::uint32_t* patch_entries;   // [patch_count + 1] entries of a patch
+  const std::uint32_t* entry_body;      // [entry]
+  const std::uint32_t* body_begin;      // [body_count + 1] into body_entries
+  const std::uint32_t* body_entries;    // [entry] entries, body by body
+  const std::uint32_t* partner_begin;   // [body_count + 1] into partners
+  const std::uint32_t* partners;        // [partner] free bodies, body by body
+  const std::uint32_t* entry_partners;  // [entry + 1] into partner_sums; nullptr: no body has partners
 
   Real* start_velocity;               // [row_count, 4] v̂ of rows of free bodies
   BalanceSums* sums;                  // [entry]
   BalanceSums* totals;                // [body_count]
+  PartnerSums* partner_sums;          // [partners of each entry]
+  double* system;                     // [6 · body_count, 6 · body_count] lower triangle; without partners nullptr
+  double* motions;                    // [6 · body_count] right-hand side of the system, then its solution
   BodyCorrection<Real>* corrections;  // [body_count]
   BalanceReport<Real>* reports;       // [body_count]
 };

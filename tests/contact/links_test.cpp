@@ -134,6 +134,45 @@ TEST_P(Bodies, KeepTheirMomentumWhenTheyCollide) {
   EXPECT_EQ(world->last().touching_nodes, 0u) << "they fly apart";
 }
 
+/// What a link takes from one free body it gives to the other, whatever the tolerance of the solve: three blocks meet
+/// in flight.
+TEST_P(Bodies, GiveEachOtherWhatTheyTakeWhateverTheTolerance) {
+  for (const bool precise : {true, false}) {
+    for (const double friction : {0.0, 0.5}) {
+      SCOPED_TRACE(std::string(precise ? "double" : "float") + ", friction " + std::to_string(friction));
+      v1::Scene scene = empty_scene(1.0 / 240);
+      scene.clear_solver();
+      scene.mutable_solver()->set_precision(precise ? v1::Solver::PRECISION_DOUBLE : v1::Solver::PRECISION_FLOAT);
+      add_cube(scene, "a", {0, 0, 0}, 3);
+      add_cube(scene, "b", {0.01, kSizeM + 0.006, 0.013}, 4);
+      add_cube(scene, "c", {0.03, 2 * kSizeM + 0.012, -0.02}, 3);
+      const double velocities[3][3] = {{0, 0.4, 0}, {0.03, 0, 0.02}, {-0.1, -0.5, 0.05}};
+      for (int body = 0; body < 3; ++body) {
+        const int nodes = body == 1 ? 125 : 64;
+        std::vector<double> velocity;
+        for (int i = 0; i < nodes; ++i) velocity.insert(velocity.end(), velocities[body], velocities[body] + 3);
+        scene.mutable_bodies(body)->set_initial_velocity_m_per_s(
+            std::string(reinterpret_cast<const char*>(velocity.data()), velocity.size() * sizeof(double)));
+        scene.mutable_bodies(body)->set_rayleigh_stiffness_s(0.002);
+      }
+      let_touch(scene, "a", "b", 0.001).set_friction_coefficient(friction);
+      let_touch(scene, "c", "b", 0.001).set_friction_coefficient(friction);
+      const auto world = start(scene);
+      const Vec3<double> before = momentum_of(*world);
+      std::uint32_t touching = 0;
+      double worst = 0;
+      for (int i = 0; i < 120; ++i) {
+        ASSERT_TRUE(world->step(false));
+        touching = std::max(touching, world->last().touching_nodes);
+        worst = std::max(worst, (momentum_of(*world) - before).norm());
+      }
+      EXPECT_GT(touching, 10u);
+      constexpr double kOfOneBlock = 0.5;  // a kilogram at the speed of the fastest [kg m/s]
+      EXPECT_LT(worst, (precise ? 1e-10 : 2e-5) * kOfOneBlock);
+    }
+  }
+}
+
 /// Three blocks on each other under gravity come to rest, and each carries those above it. Ten times softer, the stack
 /// would buckle under its own weight: ρ g A H³ / (E I) = 16, and 7.8 is critical.
 TEST_P(Bodies, StackedRest) {
