@@ -5,7 +5,9 @@
 #include <fmt/format.h>
 
 #include "core/cut_limits.h"
+#include "mesh/components.h"
 #include "model/compile_parts.h"
+#include "model/cut_bodies.h"
 #include "tensormass/v1/scene.pb.h"
 
 /// Makes the tables of blades (view/blades.h).
@@ -154,6 +156,40 @@ Result<std::vector<std::uint32_t>> find_blades(const v1::Scene& scene, const Rea
   return out;
 }
 
+/// Shares of an element below which a part holds a blade less, and elements of a free piece, likewise.
+constexpr double kHoldingPart = 0.1, kHoldingPiece = 64;
+
+/// Returns how much of its toughness each element has for a blade: [element] 1 is all of it.
+///
+/// A point that yields pulls with a constant force in a step, and would throw a splinter or a small piece. So both hold
+/// it in proportion to their material.
+std::vector<double> holds_of(const ReadBodies& bodies, std::span<const std::array<std::uint32_t, 4>> elements) {
+  std::vector<double> out(elements.size(), 1);
+  if (std::all_of(bodies.bodies.begin(), bodies.bodies.end(), [](const auto& body) { return body.cut == nullptr; })) {
+    return out;
+  }
+  mesh::Components pieces(bodies.merged.nodes.size());
+  for (const auto& nodes : elements) {
+    for (const std::uint32_t node : nodes) pieces.join(nodes[0], node);
+  }
+  std::vector<double> size(bodies.merged.nodes.size(), 0);  // [lowest node] elements
+  const auto for_each_copy = [&](const auto& visit) {
+    for (const ReadBody& body : bodies.bodies) {
+      if (body.cut == nullptr) continue;
+      for (std::uint32_t e = 0; e < body.element_count; ++e) {
+        const mesh::PartShares* const shares = part_of(body, e).shares;
+        visit(body, body.element_begin + e, shares == nullptr ? 1 : shares->volume);
+      }
+    }
+  };
+  for_each_copy([&](const ReadBody&, std::uint32_t e, double share) { size[pieces.root(elements[e][0])] += share; });
+  for_each_copy([&](const ReadBody& body, std::uint32_t e, double share) {
+    const double holding = std::min(kHoldingPiece, body.loaded_element_count / 2.0);
+    out[e] = std::min(share / kHoldingPart, 1.0) * std::min(size[pieces.root(elements[e][0])] / holding, 1.0);
+  });
+  return out;
+}
+
 Blades make_blades(const LinkInput& in) {
   Blades out;
   out.tools = in.links.blades;
@@ -166,6 +202,8 @@ Blades make_blades(const LinkInput& in) {
     elements.push_back({nodes[0], nodes[1], nodes[2], nodes[3]});
     out.toughness.push_back(in.bodies.bodies[body].fracture_toughness_j_per_m2);
   });
+  const std::vector<double> holds = holds_of(in.bodies, elements);
+  for (std::size_t e = 0; e < elements.size(); ++e) out.toughness[e] *= holds[e];
   out.neighbours = neighbours_of(elements, in.bodies.merged.nodes);
   std::vector<std::uint32_t> patches;
   for (const auto& nodes : elements) {

@@ -10,7 +10,9 @@
 #include "core/cut_limits.h"
 #include "mesh/components.h"
 #include "mesh/cut_surface.h"
+#include "mesh/geometry.h"
 #include "mesh/shapes.h"
+#include "model/crumbs.h"
 #include "physics/element/quadrature.h"
 
 namespace tensormass::model {
@@ -98,6 +100,13 @@ std::vector<mesh::CutPiece> pieces_of(mesh::Cut& cut) {
 
 }  // namespace
 
+BodyCut::Whole::Whole(mesh::Mesh of_mesh, std::vector<ElementRing> of_rings)
+    : mesh(std::move(of_mesh)), rings(std::move(of_rings)) {
+  mesh::for_each_element(mesh, [&](std::uint32_t, const mesh::Topology& shape, std::span<const std::uint32_t> nodes) {
+    volumes_m3.push_back(mesh::element_geometry(mesh, shape, nodes).volume_m3);
+  });
+}
+
 BodyCut::BodyCut(std::shared_ptr<const Whole> whole, mesh::CutChanges changes)
     : whole_(std::move(whole)),
       cut_(topology(), {.parts = kPartsOfElement * topology().element_count() + kMoreCopies,
@@ -120,15 +129,36 @@ Result<std::unique_ptr<BodyCut>> BodyCut::make(const ReadBody& body) {
 
 std::unique_ptr<BodyCut> BodyCut::copy() const {
   std::unique_ptr<BodyCut> out(new BodyCut(whole_, changes_));
-  for (const CutBatch& batch : batches_) {
-    const bool refused = out->cut_.cut(batch.edges).refused;
-    TM_ASSERT(!refused, "the same cuts were made before");
-  }
+  out->cut_again(batches_);
   out->batches_ = batches_;
+  out->shares_ = shares_;
   out->pieces_ = pieces_;
   out->whole_pieces_ = whole_pieces_;
   out->area_m2_ = area_m2_;
   return out;
+}
+
+/// Makes cuts in a body that is whole.
+void BodyCut::cut_again(const std::vector<CutBatch>& batches) {
+  for (const CutBatch& batch : batches) {
+    const bool refused = cut_.cut(batch.edges).refused;
+    TM_ASSERT(!refused, "the same edges were cut before");
+  }
+}
+
+std::vector<mesh::CutEdge> BodyCut::without_crumbs(std::vector<mesh::CutEdge> edges) {
+  const auto again = [&] {
+    cut_.reset();
+    cut_again(batches_);
+  };
+  // Edges that stay whole may hold other crumbs, or leave new ones. Each round takes some, so it ends.
+  while (!cut_.cut(edges).refused) {
+    const std::vector<std::size_t> whole = edges_that_free_crumbs(cut_, whole_->volumes_m3, edges);
+    again();
+    if (whole.empty()) break;
+    for (auto edge = whole.rbegin(); edge != whole.rend(); ++edge) edges.erase(edges.begin() + std::ptrdiff_t(*edge));
+  }
+  return edges;
 }
 
 Result<void> BodyCut::make_cut(std::uint32_t order, std::vector<mesh::CutEdge> edges) {
@@ -137,14 +167,14 @@ Result<void> BodyCut::make_cut(std::uint32_t order, std::vector<mesh::CutEdge> e
     return fail(ErrorCode::kResourceExhausted,
                 fmt::format("{} cuts, limits::kMaxCutsOfBody, were made already; reset the scene", batches_.size()));
   }
-  const mesh::CutChange change = cut_.cut(edges);
-  if (change.refused) {
+  if (cut_.cut(edges).refused) {
     return fail(ErrorCode::kResourceExhausted,
                 "the mesh is cut into more parts than it has room for; cut less finely, or reset the scene");
   }
   const mesh::CutSurface surface = mesh::visible_surface(cut_);
   changes_.take(surface);
   pieces_ = pieces_of(cut_);
+  shares_ = shares_in_physics(cut_);
   area_m2_ = 0;
   const std::vector<Eigen::Vector3d> rows = mesh::row_positions(cut_);
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
@@ -196,9 +226,9 @@ ElementPart part_of(const ReadBody& body, std::uint32_t element) {
   if (body.cut == nullptr) return {element, kNone};
   const bool is_copy = element >= body.loaded_element_count;
   const std::uint32_t loaded = is_copy ? body.element_copies[element - body.loaded_element_count].loaded : element;
-  const mesh::Cut& cut = body.cut->cut();
-  const std::uint32_t part = is_copy ? body.copy_parts[element - body.loaded_element_count] : cut.first_part(element);
-  return {loaded, part, part == kNone ? nullptr : &cut.parts()[part].shares};
+  const std::uint32_t part =
+      is_copy ? body.copy_parts[element - body.loaded_element_count] : body.cut->cut().first_part(element);
+  return {loaded, part, part == kNone ? nullptr : &body.cut->shares()[part]};
 }
 
 std::vector<mesh::BoundaryFace> uncut_boundary_faces(const ReadBody& body) {
@@ -286,6 +316,7 @@ std::vector<double> point_shares_of(const ReadBody& body, const ElementPart& par
   while (labels.corners(static_cast<std::uint8_t>(label)) != cut.parts()[part.part].corners) ++label;
   double sum = 0, kept = 0;
   for (std::size_t q = 0; q < rule.size(); ++q) {
+    raise_to_least(std::span(shares[q]).first(labels.count));
     out[q] = shares[q][label];
     sum += weights[q];
     kept += weights[q] * out[q];

@@ -48,6 +48,8 @@ class BodyCut {
   /// Returns a body with the same cuts, to be cut further.
   std::unique_ptr<BodyCut> copy() const;
 
+  /// Returns the edges of a cut without those whose cut would free a crumb (crumbs.h). O(mesh). The body is as before.
+  std::vector<mesh::CutEdge> without_crumbs(std::vector<mesh::CutEdge> edges);
   /// Makes a cut. Fails, and leaves the body as it was, if an edge does not exist or a reserve is used up.
   Result<void> make_cut(std::uint32_t order, std::vector<mesh::CutEdge> edges);
 
@@ -58,14 +60,16 @@ class BodyCut {
     mesh::CutTopology topology{mesh};
     std::vector<mesh::BoundaryFace> faces{mesh::boundary_faces(mesh)};
     mesh::Surface surface{mesh::surface_of(mesh, faces)};
+    std::vector<double> volumes_m3;  ///< [element]
 
-    Whole(mesh::Mesh of_mesh, std::vector<ElementRing> of_rings)
-        : mesh(std::move(of_mesh)), rings(std::move(of_rings)) {}
+    Whole(mesh::Mesh of_mesh, std::vector<ElementRing> of_rings);
     Whole(const Whole&) = delete;  // the topology refers to the mesh
   };
   const Whole& whole() const { return *whole_; }
   const mesh::CutTopology& topology() const { return whole_->topology; }
   const mesh::Cut& cut() const { return cut_; }
+  /// What physics takes of each part of the cut: crumbs.h.
+  const std::vector<mesh::PartShares>& shares() const { return shares_; }
   const mesh::CutChanges& changes() const { return changes_; }
   const std::vector<CutBatch>& batches() const { return batches_; }
   double area_m2() const { return area_m2_; }  ///< sum over all cuts, one side of each
@@ -78,6 +82,7 @@ class BodyCut {
 
  private:
   BodyCut(std::shared_ptr<const Whole> whole, mesh::CutChanges changes);
+  void cut_again(const std::vector<CutBatch>& batches);
 
   std::shared_ptr<const Whole> whole_;
   mesh::Cut cut_;
@@ -85,6 +90,7 @@ class BodyCut {
   std::vector<CutBatch> batches_;
   std::vector<mesh::CutPiece> pieces_, whole_pieces_;
   double area_m2_ = 0;
+  std::vector<mesh::PartShares> shares_;
 };
 
 /// Returns where each appended vertex of each body is among those of the scene: [body][vertex]. Later cuts append.

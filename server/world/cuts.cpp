@@ -240,15 +240,17 @@ std::uint32_t next_order(const SceneCuts& cuts) {
   return last + 1;
 }
 
-/// Makes the next cut of a scene in one of its bodies.
+/// Makes the next cut of a scene in one of its bodies. Returns false, and cuts nothing, if it would only free crumbs.
 /// body: a copy of cuts[b], or the whole body
-Result<void> add_cut(SceneCuts& cuts, std::size_t b, std::unique_ptr<BodyCut> body, std::vector<mesh::CutEdge> edges,
+Result<bool> add_cut(SceneCuts& cuts, std::size_t b, std::unique_ptr<BodyCut> body, std::vector<mesh::CutEdge> edges,
                      std::string_view where) {
+  edges = body->without_crumbs(std::move(edges));
+  if (edges.empty()) return false;
   if (auto made = body->make_cut(next_order(cuts), std::move(edges)); !made) {
     return fail(made.error().code, fmt::format("{}: {}", where, made.error().message));
   }
   cuts[b] = std::move(body);
-  return {};
+  return true;
 }
 
 }  // namespace
@@ -335,7 +337,13 @@ Result<SceneCuts> cut_edges(const v1::Scene& loaded, const v1::SceneEdit& edit, 
     const auto b = static_cast<std::size_t>(found - loaded.bodies().begin());
     TM_ASSIGN_OR_RETURN(body, bodies.to_be_cut(b, out));
     TM_ASSIGN_OR_RETURN(edges, crossed_edges(*body, cut, where));
-    TM_RETURN_IF_ERROR(add_cut(out, b, std::move(body), std::move(edges), where));
+    TM_ASSIGN_OR_RETURN(is_cut, add_cut(out, b, std::move(body), std::move(edges), where));
+    if (!is_cut) {
+      return invalid(
+          fmt::format("{}.blade: it would only free crumbs of body '{}', pieces smaller than half an element; "
+                      "cut farther from where the body is cut already",
+                      where, cut.body()));
+    }
   }
   return out;
 }
@@ -357,8 +365,8 @@ Result<SceneCuts> cut_along(const v1::Scene& loaded, std::span<const SweptWay> w
     }
     if (crossed.edges().empty()) continue;
     TM_ASSIGN_OR_RETURN(edges, crossed.take(where));
-    TM_RETURN_IF_ERROR(add_cut(out, b, std::move(body), std::move(edges), where));
-    any = true;
+    TM_ASSIGN_OR_RETURN(is_cut, add_cut(out, b, std::move(body), std::move(edges), where));
+    any = any || is_cut;
   }
   return any ? std::move(out) : SceneCuts(present);
 }

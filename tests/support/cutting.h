@@ -32,11 +32,13 @@ class CutBody {
     room_.resize(cut_->topology().edge_count());
   }
 
-  /// Moves a blade and cuts what it crosses.
+  /// Moves a blade and cuts what it crosses, but frees no crumb.
   void move(const Blade& before, const Blade& after) {
     const mesh::Sweep sweep = search_->sweep(before, after, room_);
     if (sweep.refused) throw std::runtime_error(std::string(words(sweep.refusal)));
-    const auto made = cut_->make_cut(++order_, {sweep.edges.begin(), sweep.edges.end()});
+    std::vector<mesh::CutEdge> edges = cut_->without_crumbs({sweep.edges.begin(), sweep.edges.end()});
+    left_whole_ += sweep.edges.size() - edges.size();
+    const auto made = cut_->make_cut(++order_, std::move(edges));
     if (!made) throw std::runtime_error(made.error().message);
   }
   /// Moves a straight blade across a box by random positions and directions.
@@ -52,10 +54,13 @@ class CutBody {
   /// The cuts so far, as compile takes them.
   model::SceneCuts cuts() const { return {cut_->copy()}; }
   const model::BodyCut& body() const { return *cut_; }
+  /// Edges that blades crossed and that stayed whole, so that no crumb came free.
+  std::size_t left_whole() const { return left_whole_; }
 
  private:
   std::unique_ptr<model::BodyCut> cut_;
   std::uint32_t order_ = 0;
+  std::size_t left_whole_ = 0;
   std::unique_ptr<mesh::CutSearch> search_;
   std::vector<mesh::CutEdge> room_;
 };
