@@ -14,7 +14,7 @@ namespace tensormass::world {
 
 namespace {
 
-constexpr std::size_t kRealsOfSlip = 4;  // of a triangle and a contact point, as in NodeState
+constexpr std::size_t kRealsOfSlip = 4;  // numbers for a triangle and a contact point, as in NodeState
 
 /// Returns the slips of the next tools' contact points; zero for those of new tools.
 std::vector<double> slips_with_tools(const model::Model& present, const model::Model& next,

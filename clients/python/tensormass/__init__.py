@@ -31,6 +31,7 @@ from tensormass._src.elastic_constants import lame, young_poisson
 from tensormass._src.events import Event, EventStream
 from tensormass._src.fields import FIELD_NAMES, NODE_FIELDS, FieldName, Fields
 from tensormass._src.findings import FindingWarning
+from tensormass._src.frame_stream import FrameStream
 from tensormass._src.frames import Feedback, Frame
 from tensormass._src.grids import grid
 from tensormass._src.label_formats.content import Labels, Segment
@@ -56,7 +57,7 @@ from tensormass._src.poses import PoseSender
 from tensormass._src.regions import Regions
 from tensormass._src.scene import Scene
 from tensormass._src.scene_file import SceneFile
-from tensormass._src.scene_handle import FrameStream, SceneHandle
+from tensormass._src.scene_handle import SceneHandle
 from tensormass._src.server import DEFAULT_ADDRESS, Server, connect
 from tensormass._src.shapes import SHAPES, Shape
 from tensormass._src.springs import Springs
