@@ -58,34 +58,11 @@ class CutPieces {
   std::vector<Size> size_;  // [lowest row]
 };
 
-/// An edge from a crumb to the tissue beside it.
+/// The edge by which a crumb stays with the tissue.
 struct Bond {
-  std::size_t edge;    // index into the edges of the cut
-  std::uint32_t node;  // its end in the tissue
+  std::size_t edge;  // index into the edges of the cut
+  double reach;      // up to where the crumb has the edge, as part of the edge
 };
-
-/// Returns the bonds on one side of a crumb: the side with most of them. Nodes are on one side if uncut edges join
-/// them.
-std::vector<Bond> largest_side(const mesh::Cut& cut, std::span<const Bond> bonds) {
-  mesh::Components sides(bonds.size());
-  for (std::uint32_t i = 0; i < bonds.size(); ++i) {
-    for (std::uint32_t j = i + 1; j < bonds.size(); ++j) {
-      const std::uint32_t edge = bonds[i].node == bonds[j].node
-                                     ? kNone
-                                     : cut.topology().edge_between(std::min(bonds[i].node, bonds[j].node),
-                                                                   std::max(bonds[i].node, bonds[j].node));
-      if (bonds[i].node == bonds[j].node || (edge != kNone && !cut.is_cut(edge))) sides.join(i, j);
-    }
-  }
-  std::vector<std::size_t> count(bonds.size(), 0);
-  for (std::uint32_t i = 0; i < bonds.size(); ++i) ++count[sides.root(i)];
-  const auto largest = static_cast<std::uint32_t>(std::max_element(count.begin(), count.end()) - count.begin());
-  std::vector<Bond> out;
-  for (std::uint32_t i = 0; i < bonds.size(); ++i) {
-    if (sides.root(i) == largest) out.push_back(bonds[i]);
-  }
-  return out;
-}
 
 }  // namespace
 
@@ -124,21 +101,22 @@ std::vector<mesh::PartShares> shares_in_physics(const mesh::Cut& cut) {
   return out;
 }
 
-std::vector<std::size_t> edges_that_free_crumbs(const mesh::Cut& cut, std::span<const double> volumes_m3,
+std::vector<std::size_t> edges_that_crumbs_keep(const mesh::Cut& cut, std::span<const double> volumes_m3,
                                                 std::span<const mesh::CutEdge> edges) {
   CutPieces pieces(cut, volumes_m3);
-  std::map<std::uint32_t, std::vector<Bond>> bonds;  // by crumb
+  std::map<std::uint32_t, Bond> bonds;  // by crumb
   for (std::size_t i = 0; i < edges.size(); ++i) {
     const mesh::EdgeEnds ends = cut.topology().ends(edges[i].edge);
     for (std::size_t end = 0; end < 2; ++end) {
       const std::uint32_t piece = pieces.of(ends[end]);
-      if (pieces.is_crumb(piece) && pieces.of(ends[1 - end]) != piece) bonds[piece].push_back({i, ends[1 - end]});
+      if (!pieces.is_crumb(piece) || pieces.of(ends[1 - end]) == piece) continue;
+      const double crossing = cut.crossing(edges[i].edge), reach = end == 0 ? crossing : 1 - crossing;
+      const auto [bond, is_first] = bonds.try_emplace(piece, Bond{i, reach});
+      if (!is_first && reach > bond->second.reach) bond->second = {i, reach};
     }
   }
   std::vector<std::size_t> out;
-  for (const auto& [crumb, of_crumb] : bonds) {
-    for (const Bond& bond : largest_side(cut, of_crumb)) out.push_back(bond.edge);
-  }
+  for (const auto& [crumb, bond] : bonds) out.push_back(bond.edge);
   std::sort(out.begin(), out.end());
   out.erase(std::unique(out.begin(), out.end()), out.end());
   return out;

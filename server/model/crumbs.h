@@ -18,7 +18,8 @@
 ///   slivers   a part has kLeastShare of its element's stiffness, and of the mass of each of its nodes. The other parts
 ///             give what it lacks, so the parts still add up to the element: mass, centre of mass, momentum and energy
 ///             at the cut are exact as before.
-///   pieces    a cut frees no piece smaller than kLeastPiece of an element. The edges on one side of it stay whole.
+///   pieces    a cut frees no piece smaller than kLeastPiece of an element. One edge of it stays whole: the one that it
+///             has most of. With a second one it could join two sides of a cut that goes on.
 namespace tensormass::model {
 
 /// Least share of a part in its element.
@@ -33,13 +34,13 @@ void raise_to_least(std::span<double> shares);
 /// Returns the shares of parts that physics takes. [part of the cut]
 std::vector<mesh::PartShares> shares_in_physics(const mesh::Cut& cut);
 
-/// Returns those of the edges of a cut without which it frees no crumb: indices into `edges`, ascending. Empty: it
-/// frees none. May have to be called again after they are left out.
+/// Returns the edges of a cut that crumbs keep, one for each: indices into `edges`, ascending. Empty: it frees none. To
+/// be called again after they are left out: crumbs may hang on each other.
 ///
 ///   cut         with the edges
 ///   volumes_m3  [element] as loaded
 ///   edges       of the last cut, which may be left out
-std::vector<std::size_t> edges_that_free_crumbs(const mesh::Cut& cut, std::span<const double> volumes_m3,
+std::vector<std::size_t> edges_that_crumbs_keep(const mesh::Cut& cut, std::span<const double> volumes_m3,
                                                 std::span<const mesh::CutEdge> edges);
 
 }  // namespace tensormass::model

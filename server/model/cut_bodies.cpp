@@ -151,9 +151,9 @@ std::vector<mesh::CutEdge> BodyCut::without_crumbs(std::vector<mesh::CutEdge> ed
     cut_.reset();
     cut_again(batches_);
   };
-  // Edges that stay whole may hold other crumbs, or leave new ones. Each round takes some, so it ends.
+  // Crumbs may hang on each other. Each round leaves edges out, so it ends.
   while (!cut_.cut(edges).refused) {
-    const std::vector<std::size_t> whole = edges_that_free_crumbs(cut_, whole_->volumes_m3, edges);
+    const std::vector<std::size_t> whole = edges_that_crumbs_keep(cut_, whole_->volumes_m3, edges);
     again();
     if (whole.empty()) break;
     for (auto edge = whole.rbegin(); edge != whole.rend(); ++edge) edges.erase(edges.begin() + std::ptrdiff_t(*edge));

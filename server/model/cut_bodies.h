@@ -48,7 +48,7 @@ class BodyCut {
   /// Returns a body with the same cuts, to be cut further.
   std::unique_ptr<BodyCut> copy() const;
 
-  /// Returns the edges of a cut without those whose cut would free a crumb (crumbs.h). O(mesh). The body is as before.
+  /// Returns the edges of a cut without those that crumbs keep (crumbs.h). O(mesh). The body is as before.
   std::vector<mesh::CutEdge> without_crumbs(std::vector<mesh::CutEdge> edges);
   /// Makes a cut. Fails, and leaves the body as it was, if an edge does not exist or a reserve is used up.
   Result<void> make_cut(std::uint32_t order, std::vector<mesh::CutEdge> edges);

@@ -65,7 +65,7 @@ def test_the_hands_take_a_piece_off_and_carry_it_away(server: tm.Server) -> None
         assert scene.status().guard_events == 0
 
 
-@pytest.mark.parametrize("closed_y_m", [-0.046, -0.048, -0.04])
+@pytest.mark.parametrize("closed_y_m", [-0.047, -0.048, -0.04])
 def test_no_crumb_flies_wherever_the_blades_close(server: tm.Server, closed_y_m: float) -> None:
     hands = hands_of_resect()
     scissors = hands["scissors"]

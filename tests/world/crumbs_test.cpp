@@ -165,6 +165,7 @@ TEST_P(Crumbs, AreNotSetFree) {
     pieces += static_cast<int>(body.body().pieces().size()) - 1;
     with_crumbs += body.left_whole() > 0;
   }
+  std::printf("%d pieces\n", pieces);
   EXPECT_GT(pieces, 20) << "larger pieces come free";
   EXPECT_GT(with_crumbs, 4) << "crumbs would have come free";
 }
