@@ -39,8 +39,8 @@ const BURNT_STEP = 400;
 const DRAWN_BACK_M = -0.105;
 /** Step of `cut` in which its hand draws the edge through the organ. */
 const CUT_STEP = 300;
-/** Step of `resect` in which its scissors have gone, and the grasper has carried the piece away. */
-const RESECTED_STEP = 620;
+/** Step of `resect` in which its scissors have closed, and the grasper holds the piece. */
+const RESECTED_STEP = 450;
 const LONGEST_WAIT_S = 180;
 const POLLING_MS = 250;
 const QUALITY = process.env.QUALITY ?? "high";
@@ -208,7 +208,7 @@ async function takeCut() {
   });
 }
 
-/** The piece that the scissors of `resect` took off, carried away by the grasper. */
+/** The piece that the scissors of `resect` took off, in the grasper. */
 async function takeResect() {
   await withScene("resect", async (url) => {
     const page = await open(url, WIDE);
