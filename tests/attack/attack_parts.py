@@ -58,12 +58,16 @@ def memory_of(server: tm.Server, line: str = "VmRSS") -> int:
         return next(int(row.split()[1]) * 1024 for row in status if row.startswith(line + ":"))
 
 
-def cpu_time_of(server: tm.Server) -> float:
-    """Returns the CPU time that the daemon has used [s]."""
+def cpu_time_of(server: tm.Server, thread: str = "") -> float:
+    """Returns the CPU time that the daemon has used, or its threads of this name [s]."""
     assert server.process is not None
-    with open(f"/proc/{server.process.process.pid}/stat") as stat:
-        user, system = stat.read().rpartition(")")[2].split()[11:13]
-    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+    process = Path(f"/proc/{server.process.process.pid}")
+    of = [one for one in (process / "task").iterdir() if (one / "comm").read_text().strip() == thread]
+    ticks = 0
+    for one in of if thread else [process]:
+        user, system = (one / "stat").read_text().rpartition(")")[2].split()[11:13]
+        ticks += int(user) + int(system)
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 def restart_high_water_mark(server: tm.Server) -> None:

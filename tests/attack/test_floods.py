@@ -14,7 +14,7 @@ import grpc
 import pytest
 import zenoh
 import zmq
-from attack_parts import DEADLINE_S, IN_AIR_M, MIB, attacked, block, memory_of, wait_for, zenoh_session
+from attack_parts import DEADLINE_S, IN_AIR_M, MIB, attacked, block, cpu_time_of, memory_of, wait_for, zenoh_session
 
 import tensormass as tm
 from tensormass._src.streams import Transport
@@ -26,6 +26,8 @@ POSE = stream_pb2.ToolPose(client_id=5, position_m=scene_pb2.Vector3(x=0.05, y=0
 #: The same with a field that the daemon does not know, of 3,900 bytes.
 LONG_POSE = POSE + b"\x7a\xbc\x1e" + bytes(3900)
 FLOOD = "a flood of poses"
+#: limits::kMaxRelayCpuAtOnceS and kMaxRelayCpuShare.
+RELAY_CPU_AT_ONCE_S, RELAY_CPU_SHARE = 10.0, 0.5
 Send = Callable[[bytes, int], None]
 
 
@@ -148,9 +150,13 @@ class TestWithKeys:
             parts.callback(stop.set)
             operator = parts.enter_context(daemon.stub(daemon.keys["operator"]))
             slowest = 0.0
-            deadline = time.monotonic() + 6 * DEADLINE_S
+            start, used_before_s = time.monotonic(), cpu_time_of(daemon.server, "relay")
             while "kMaxRelayCpuShare" not in daemon.log():
-                assert time.monotonic() < deadline, "the key was not cut"
+                if (lasted_s := time.monotonic() - start) > 6 * DEADLINE_S:
+                    used_s = cpu_time_of(daemon.server, "relay") - used_before_s
+                    if used_s < RELAY_CPU_AT_ONCE_S + RELAY_CPU_SHARE * lasted_s:
+                        pytest.skip(f"the relay got {used_s:.0f} s of CPU in {lasted_s:.0f} s, which a key may take")
+                    pytest.fail("the key was not cut")
                 begin = time.monotonic()
                 operator.GetStatus(control_pb2.GetStatusRequest(scene="a"), timeout=DEADLINE_S)
                 slowest = max(slowest, time.monotonic() - begin)
