@@ -14,6 +14,7 @@
 #include "support/cutting.h"
 #include "support/scissors.h"
 #include "world/cuts.h"
+#include "world/tool_changes.h"
 
 /// Crumbs, which cuts could leave: parts and pieces with next to no material do not fly.
 namespace tensormass::world {
@@ -263,7 +264,7 @@ TEST_P(Crumbs, AreNotThrownByBlades) {
         if (*next == cuts) continue;
         cuts = *next;
         std::unique_ptr<World> after = cut_on(scene, *world, cuts);
-        after->sweeps().go_on_with(world->sweeps());
+        after->sweeps().go_on_with(world->sweeps(), places_before(world->model(), after->model()));
         world = std::move(after);
         ++cuts_made;
       }
