@@ -116,7 +116,9 @@ TEST_P(CompileParts, AreMadeAgainForAnotherCutIntoPatches) {
                                             .layout = layout,
                                             .rest = fields.rest,
                                             .prescribed_rows = boundary.prescribed_rows,
-                                            .pressure = boundary.pressure});
+                                            .pressure = boundary.pressure,
+                                            .contacts = {},
+                                            .spring_rows = {}});
   EXPECT_EQ(free.count(), 1u) << "the block that hangs";
   EXPECT_EQ(free.row_body, model.free_bodies.row_body);
 
