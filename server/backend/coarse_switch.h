@@ -11,31 +11,35 @@ namespace tensormass::backend {
 
 /// Follows the iterations of a scene's solves. It depends on nothing else, so a replay decides alike.
 ///
-///   a plain solve took more than model::kCoarseFromIterations    the coarse level is on for the next kHeld solves
-///   a solve with it took more than kFewIterations                again for the next kHeld
-///   a solve with it failed                                       it is off for the next kHeld, whatever they take
-///   otherwise                                                    one fewer
+///   a plain solve took more than model::kCoarseFromIterations   the coarse level is on for the next kFirstHeld solves
+///   these are over                                              a plain solve tries whether it is still needed
+///   that took as many again                                     it is on for twice as many, up to kFirstHeld · 2^kMost
+///   a solve with it failed                                      it is off for the next kBarred, whatever they take
 ///
-/// The coarse level stays on for so long because a solve without it may leave a step unsolved. A scene that comes to
-/// rest for a moment must not lose it.
+/// Only a plain solve tells what solves would take without it. A soft organ that falls at first, or that a fast hand
+/// stirs, must not pay for it for ever. A ligament always needs it, and pays ever less for the trials.
 class CoarseSwitch {
  public:
-  /// left: of another one.
-  explicit CoarseSwitch(std::uint32_t left = 0) : left_(std::min(left, 2 * kHeld)) {}
+  /// state: of another one.
+  explicit CoarseSwitch(std::uint32_t state = 0)
+      : left_(std::min(state & kLeftBits, kFirstHeld << kMost)),
+        doublings_(std::min(state >> kDoublingsAt & 0xFF, kMost)),
+        is_barred_((state >> kBarredAt & 1) != 0 && left_ > 0) {}
 
   /// Says whether the next solve has a coarse level.
   bool is_on(const model::Settings& settings) const {
     return settings.coarse_use == model::CoarseUse::kAlways ||
-           (settings.coarse_use == model::CoarseUse::kAutomatic && left_ > 0 && left_ <= kHeld);
+           (settings.coarse_use == model::CoarseUse::kAutomatic && left_ > 0 && !is_barred_);
   }
-  /// Takes the iterations of a solve. was_on: it had a coarse level.
-  void take_solve(std::uint32_t iterations, bool was_on) {
-    if (left_ > kHeld) {
-      if (--left_ == kHeld) left_ = 0;
-    } else if (iterations > (was_on ? kFewIterations : model::kCoarseFromIterations)) {
-      left_ = kHeld;
-    } else if (left_ > 0) {
-      --left_;
+  /// Takes the iterations of a solve.
+  void take_solve(std::uint32_t iterations) {
+    if (left_ > 0) {
+      if (--left_ == 0) is_barred_ = false;
+    } else if (iterations > model::kCoarseFromIterations) {
+      left_ = kFirstHeld << doublings_;
+      doublings_ = std::min(doublings_ + 1, kMost);
+    } else {
+      doublings_ = 0;
     }
   }
   /// Returns whether a step must be made again, by a solve with a coarse level or without. was_on: its solve had one.
@@ -48,15 +52,22 @@ class CoarseSwitch {
     if (!was_on) return is_on(settings) && result.finite && !result.negative_curvature && above;
     const bool failed = !result.finite || result.cg_relative_residual > 1 || (result.negative_curvature && above);
     if (!failed || settings.coarse_use != model::CoarseUse::kAutomatic) return false;
-    left_ = 2 * kHeld;
+    left_ = kBarred;
+    is_barred_ = true;
     return true;
   }
-  /// Solves for which it stays on; beyond kHeld: kHeld more than those for which it stays off.
-  std::uint32_t left() const { return left_; }
+  /// Returns what another one goes on from.
+  std::uint32_t state() const {
+    return left_ | doublings_ << kDoublingsAt | static_cast<std::uint32_t>(is_barred_) << kBarredAt;
+  }
 
  private:
-  static constexpr std::uint32_t kHeld = 256, kFewIterations = 8;
-  std::uint32_t left_;
+  static constexpr std::uint32_t kFirstHeld = 64, kMost = 6, kBarred = 256;
+  static constexpr std::uint32_t kLeftBits = 0xFFFF, kDoublingsAt = 16, kBarredAt = 24;
+
+  std::uint32_t left_;       // solves for which it stays on, or off if it is barred
+  std::uint32_t doublings_;  // trials on end that took many iterations
+  bool is_barred_;
 };
 
 }  // namespace tensormass::backend

@@ -144,21 +144,28 @@ TEST(CoarseLevel, ServesALigamentThatIsCutThrough) {
   EXPECT_LT(lowest_m, -0.04) << "the outer piece falls freely: 10 steps of 10 ms are 54 mm";
 }
 
-TEST(CoarseSwitch, TurnsOnAfterALongSolveAndStaysOn) {
+/// A body that always needs the coarse level, and then never: solves without it are ever fewer, until one is short.
+TEST(CoarseSwitch, TriesEverLessOftenWhetherItIsNeeded) {
   model::Settings settings;
   backend::CoarseSwitch one;
   EXPECT_FALSE(one.is_on(settings));
-  one.take_solve(model::kCoarseFromIterations, false);
+  one.take_solve(model::kCoarseFromIterations);
   EXPECT_FALSE(one.is_on(settings)) << "not more than the bound";
-  one.take_solve(model::kCoarseFromIterations + 1, false);
-  for (int solve = 0; solve < 1000; ++solve) {
-    EXPECT_TRUE(one.is_on(settings)) << solve;
-    one.take_solve(20, true);
-  }
-  int solves = 0;
-  for (; one.is_on(settings); ++solves) one.take_solve(3, true);
-  EXPECT_EQ(solves, 256);
-  EXPECT_EQ(backend::CoarseSwitch(0xFFFFFFFF).left(), 512u) << "a saved state may say anything";
+  const auto solves_until_next_trial = [&] {
+    one.take_solve(model::kCoarseFromIterations + 1);
+    int solves = 0;
+    for (; one.is_on(settings); ++solves) one.take_solve(20);
+    return solves;
+  };
+  for (const int expected : {64, 128, 256, 512, 1024, 2048, 4096, 4096}) EXPECT_EQ(solves_until_next_trial(), expected);
+  backend::CoarseSwitch same(one.state());
+  same.take_solve(model::kCoarseFromIterations + 1);
+  EXPECT_TRUE(same.is_on(settings));
+  EXPECT_EQ(backend::CoarseSwitch(same.state()).state(), same.state());
+  one.take_solve(40);
+  EXPECT_FALSE(one.is_on(settings));
+  EXPECT_EQ(solves_until_next_trial(), 64) << "a short trial forgets the long ones";
+  EXPECT_LE(backend::CoarseSwitch(0xFFFFFFFF).state() & 0xFFFF, 4096u) << "a saved state may say anything";
 }
 
 TEST(CoarseSwitch, TurnsOffAfterASolveThatFailed) {
@@ -172,10 +179,10 @@ TEST(CoarseSwitch, TurnsOffAfterASolveThatFailed) {
     return result;
   };
   const auto is_failure = [&](const solver::StepResult& result) {
-    backend::CoarseSwitch one(256);
+    backend::CoarseSwitch one(64);
     if (!one.repeats(settings, result, true)) return false;
     int solves = 0;
-    for (; !one.is_on(settings) && solves < 1000; ++solves) one.take_solve(1000, false);
+    for (; !one.is_on(settings) && solves < 1000; ++solves) one.take_solve(1000);
     EXPECT_EQ(solves, 257) << "off for 256 solves, and on after the next long one";
     return true;
   };
@@ -185,7 +192,7 @@ TEST(CoarseSwitch, TurnsOffAfterASolveThatFailed) {
   EXPECT_TRUE(is_failure(ends(1.5, true, false)));
   EXPECT_TRUE(is_failure(ends(0.5, true, true)));
   EXPECT_FALSE(is_failure(ends(1e-3, true, true)));
-  backend::CoarseSwitch on(256), off;
+  backend::CoarseSwitch on(64), off;
   EXPECT_TRUE(on.repeats(settings, ends(0.5, true, false), false)) << "unsolved, and now there is a coarse level";
   EXPECT_FALSE(off.repeats(settings, ends(0.5, true, false), false));
   settings.coarse_use = model::CoarseUse::kAlways;
@@ -198,7 +205,7 @@ TEST(CoarseSwitch, DoesWhatTheSceneSays) {
   settings.coarse_use = model::CoarseUse::kAlways;
   EXPECT_TRUE(one.is_on(settings));
   settings.coarse_use = model::CoarseUse::kNever;
-  one.take_solve(1000, false);
+  one.take_solve(1000);
   EXPECT_FALSE(one.is_on(settings));
 }
 

@@ -186,7 +186,7 @@ class CpuState final : public SceneState {
   }
   StepHistory read_history() override {
     return backend::read_history(
-        view_, checkpoint_.past(), checkpoint_.coarse().left(),
+        view_, checkpoint_.past(), checkpoint_.coarse().state(),
         [](const Real* from, std::size_t count) { return std::vector<double>(from, from + count); });
   }
   void write_history(const StepHistory& history) override {
@@ -234,7 +234,7 @@ class CpuState final : public SceneState {
     take_solve();
   }
   void choose_level() { uses_coarse_ = coarse_.aggregate_count > 0 && checkpoint_.coarse().is_on(model_); }
-  void take_solve() { checkpoint_.coarse().take_solve(view_.solve.report->iterations, uses_coarse_); }
+  void take_solve() { checkpoint_.coarse().take_solve(view_.solve.report->iterations); }
   bool repeats(const StepResult& result) {
     return coarse_.aggregate_count > 0 && checkpoint_.coarse().repeats(model_, result, uses_coarse_);
   }

@@ -247,7 +247,7 @@ class CudaState final : public SceneState {
     finish_copies("write");
   }
   StepHistory read_history() override {
-    return backend::read_history(view_, checkpoint_.past(), checkpoint_.coarse().left(),
+    return backend::read_history(view_, checkpoint_.past(), checkpoint_.coarse().state(),
                                  [&](const Real* from, std::size_t count) { return download(from, count); });
   }
   void write_history(const StepHistory& history) override {
@@ -313,7 +313,7 @@ class CudaState final : public SceneState {
   void take_solve() {
     if (!solve_is_new_) return;
     solve_is_new_ = false;
-    checkpoint_.coarse().take_solve(solve_.data()->iterations, solve_had_coarse_);
+    checkpoint_.coarse().take_solve(solve_.data()->iterations);
   }
   void launch_graph(const Graph& graph, const char* what) { check(cudaGraphLaunch(graph.get(), stream()), what); }
   void launch_frame() {
