@@ -1,6 +1,6 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [dissect] [burn] [cut] [resect] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [dissect] [burn] [cut] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
 //
 // The default is all of them.
 //
@@ -23,7 +23,6 @@ const PAGES = {
   cut: takeCut,
   demo: takeDemo,
   dissect: takeDissect,
-  resect: takeResect,
   textured: takeTextured,
   viewer: takeViewer,
   grid: takeGrid,
@@ -39,8 +38,6 @@ const BURNT_STEP = 400;
 const DRAWN_BACK_M = -0.105;
 /** Step of `cut` in which its hand draws the edge through the organ. */
 const CUT_STEP = 300;
-/** Step of `resect` in which its scissors have closed, and the grasper holds the piece. */
-const RESECTED_STEP = 450;
 const LONGEST_WAIT_S = 180;
 const POLLING_MS = 250;
 const QUALITY = process.env.QUALITY ?? "high";
@@ -205,16 +202,6 @@ async function takeCut() {
     }
     await page.waitForFunction((step) => window.tensormass.state().step >= step, CUT_STEP, { polling: POLLING_MS });
     await save(page, "cut");
-  });
-}
-
-/** The piece that the scissors of `resect` took off, in the grasper. */
-async function takeResect() {
-  await withScene("resect", async (url) => {
-    const page = await open(url, WIDE);
-    await hideReadings(page);
-    await page.waitForFunction((step) => window.tensormass.state().step >= step, RESECTED_STEP, { polling: POLLING_MS });
-    await save(page, "resect");
   });
 }
 
