@@ -43,12 +43,13 @@ const std::vector<std::string> kContactBuffers{"contact", "tool"};
 
 TEST(Plan, OfAFullSceneIsTheWholeStepInOrder) {
   const v1::SceneReport report = plan(tests::block_with_probe());
-  EXPECT_EQ(stages(report),
-            (std::vector<std::string>{"closest-point query", "contact generation",
-                                      "element tensors: tetrahedron, st_venant_kirchhoff", "assemble contact",
-                                      "factorize diagonal", "scale matrix", "conjugate gradients", "advance",
-                                      "measure contact", "check inversion: tetrahedron, st_venant_kirchhoff",
-                                      "diagnostics: tetrahedron, st_venant_kirchhoff", "gather surface"}));
+  EXPECT_EQ(
+      stages(report),
+      (std::vector<std::string>{
+          "closest-point query", "contact generation", "element tensors: tetrahedron, st_venant_kirchhoff",
+          "measure row errors", "assemble contact", "coarse level", "factorize diagonal", "scale matrix",
+          "conjugate gradients", "advance", "measure contact", "check inversion: tetrahedron, st_venant_kirchhoff",
+          "diagnostics: tetrahedron, st_venant_kirchhoff", "gather surface"}));
   for (const std::string& part : kContactBuffers) EXPECT_TRUE(has_buffer(report, part)) << part;
   EXPECT_TRUE(has_buffer(report, "visible"));
   EXPECT_TRUE(has_buffer(report, "external"));
@@ -60,9 +61,9 @@ TEST(Plan, WithoutToolsHasNoContactStageAndNoContactBuffer) {
   scene.clear_tools();
   const v1::SceneReport report = plan(scene);
   EXPECT_EQ(stages(report),
-            (std::vector<std::string>{"element tensors: tetrahedron, st_venant_kirchhoff", "factorize diagonal",
-                                      "scale matrix", "conjugate gradients", "advance",
-                                      "check inversion: tetrahedron, st_venant_kirchhoff",
+            (std::vector<std::string>{"element tensors: tetrahedron, st_venant_kirchhoff", "measure row errors",
+                                      "coarse level", "factorize diagonal", "scale matrix", "conjugate gradients",
+                                      "advance", "check inversion: tetrahedron, st_venant_kirchhoff",
                                       "diagnostics: tetrahedron, st_venant_kirchhoff", "gather surface"}));
   for (const std::string& part : kContactBuffers) EXPECT_FALSE(has_buffer(report, part)) << part;
   EXPECT_TRUE(says_not_modelled(report, "contact with tools"));
@@ -192,7 +193,12 @@ TEST(Plan, ShowsAFusedSolveOfLinksOnlyIfItIsResident) {
 }
 
 TEST(Plan, CountsItsBytes) {
-  const v1::SceneReport report = plan(tests::block_with_probe());
+  const auto plan_of = [](bool double_precision) {
+    v1::Scene scene = tests::block_with_probe(double_precision);
+    scene.mutable_solver()->set_coarse_level(false);  // it sums in doubles, whatever the precision
+    return plan(scene);
+  };
+  const v1::SceneReport report = plan_of(false);
   std::uint64_t bytes = 0;
   for (const v1::PlanBuffer& buffer : report.buffers()) {
     EXPECT_GT(buffer.bytes(), 0u) << buffer.name();
@@ -201,7 +207,7 @@ TEST(Plan, CountsItsBytes) {
   EXPECT_EQ(report.bytes_total(), bytes);
   EXPECT_GT(report.expected_rate_hz(), 0);
 
-  const v1::SceneReport precise = plan(tests::block_with_probe(true));
+  const v1::SceneReport precise = plan_of(true);
   EXPECT_GT(precise.bytes_total(), 1.5 * static_cast<double>(bytes)) << "double precision";
   EXPECT_LT(precise.bytes_total(), 2 * bytes) << "indices stay as they are";
 }
