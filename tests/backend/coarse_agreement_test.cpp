@@ -10,31 +10,18 @@
 
 #include "model/compile.h"
 #include "support/cutting.h"
+#include "support/ligament.h"
 #include "support/ridges.h"
-#include "support/scenes.h"
 #include "world/world.h"
 
 /// The coarse level on a GPU: a stiff, slender body is right by default, and everything else is as without it.
 namespace tensormass {
 namespace {
 
-/// A ligament of 40 × 5 × 4 mm in steps of 10 ms: block-Jacobi needs hundreds of iterations, and has 100.
-tests::Beam ligament(std::uint32_t cells_x = 20, std::uint32_t cells_y = 4, std::uint32_t cells_z = 4) {
-  return {.cells_x = cells_x,
-          .cells_y = cells_y,
-          .cells_z = cells_z,
-          .size_x_m = 0.04,
-          .size_y_m = 0.005,
-          .size_z_m = 0.004,
-          .cg_max_iterations = 100,
-          .cg_tolerance = 1e-3};
-}
-
-v1::Scene scene_of(const tests::Beam& beam, std::optional<bool> coarse_level = {}) {
-  v1::Scene scene = tests::beam_scene(beam);
-  if (coarse_level) scene.mutable_solver()->set_coarse_level(*coarse_level);
-  return scene;
-}
+using tests::displacement_after;
+using tests::ligament;
+using tests::relative_difference;
+using tests::scene_of;
 
 std::unique_ptr<world::World> start(const backend::Backend& backend, const v1::Scene& scene,
                                     const model::SceneCuts& cuts = {}) {
@@ -43,22 +30,6 @@ std::unique_ptr<world::World> start(const backend::Backend& backend, const v1::S
   auto world = world::World::create(std::make_unique<const model::Model>(std::move(*model)), backend);
   if (!world) throw std::runtime_error(world.error().message);
   return std::move(*world);
-}
-
-/// Returns the displacement by node after some steps.
-std::vector<double> after(world::World& world, int steps) {
-  for (int step = 0; step < steps; ++step) EXPECT_TRUE(world.step(false)) << step;
-  return world.save().tissue.displacement;
-}
-
-/// Returns ‖a − b‖ / ‖b‖.
-double relative_difference(const std::vector<double>& a, const std::vector<double>& b) {
-  double difference = 0, size = 0;
-  for (std::size_t i = 0; i < b.size(); ++i) {
-    difference += (a[i] - b[i]) * (a[i] - b[i]);
-    size += b[i] * b[i];
-  }
-  return std::sqrt(difference / size);
 }
 
 class CudaCoarseLevel : public testing::Test {
@@ -83,9 +54,9 @@ TEST_F(CudaCoarseLevel, MakesLigamentsRightByDefaultFromTheFirstStep) {
     const auto reference = start(*cuda_, scene_of(exact, false)), world = start(*cuda_, scene_of(beam)),
                plain = start(*cuda_, scene_of(beam, false));
     for (const int steps : {1, 9, 30}) {
-      const std::vector<double> expected = after(*reference, steps);
-      const double difference = relative_difference(after(*world, steps), expected);
-      const double without = relative_difference(after(*plain, steps), expected);
+      const std::vector<double> expected = displacement_after(*reference, steps);
+      const double difference = relative_difference(displacement_after(*world, steps), expected);
+      const double without = relative_difference(displacement_after(*plain, steps), expected);
       const std::string name = std::to_string(tetrahedra) + "_after_" + std::to_string(world->step_count());
       RecordProperty(name, std::to_string(difference) + ", without " + std::to_string(without) + ", iterations " +
                                std::to_string(world->last().cg_iterations));
@@ -111,7 +82,8 @@ TEST_F(CudaCoarseLevel, AgreesWithTheCpu) {
     beam.double_precision = in_double;
     beam.cg_tolerance = in_double ? 1e-10 : 1e-4;
     const auto cuda = start(*cuda_, scene_of(beam, true)), cpu = start(*cpu_, scene_of(beam, true));
-    EXPECT_LT(relative_difference(after(*cuda, 20), after(*cpu, 20)), in_double ? 1e-7 : 2e-3);
+    EXPECT_LT(relative_difference(displacement_after(*cuda, 20), displacement_after(*cpu, 20)),
+              in_double ? 1e-7 : 2e-3);
     EXPECT_NEAR(cuda->last().cg_iterations, cpu->last().cg_iterations, cpu->last().cg_iterations);
   }
 }
@@ -121,7 +93,7 @@ TEST_F(CudaCoarseLevel, LeavesTheBitsOfScenesWithShortSolves) {
   beam.young_modulus_pa = 1e3;
   beam.dt_s = 1e-3;
   const auto automatic = start(*cuda_, scene_of(beam)), off = start(*cuda_, scene_of(beam, false));
-  EXPECT_EQ(after(*automatic, 30), after(*off, 30));
+  EXPECT_EQ(displacement_after(*automatic, 30), displacement_after(*off, 30));
   EXPECT_LT(off->last().cg_iterations, model::kCoarseFromIterations);
   EXPECT_GT(off->last().cg_iterations, 2u);
 }
@@ -132,11 +104,11 @@ TEST_F(CudaCoarseLevel, RepeatsToTheBitAndGoesOnFromASavedState) {
     beam.double_precision = in_double;
     const auto world = start(*cuda_, scene_of(beam)), again = start(*cuda_, scene_of(beam)),
                later = start(*cuda_, scene_of(beam));
-    EXPECT_EQ(after(*world, 5), after(*again, 5));
+    EXPECT_EQ(displacement_after(*world, 5), displacement_after(*again, 5));
     const world::World::Saved saved = world->save();
     EXPECT_GT(saved.tissue.coarse_solves, 0u);
     later->restore(saved);
-    EXPECT_EQ(after(*world, 10), after(*later, 10));
+    EXPECT_EQ(displacement_after(*world, 10), displacement_after(*later, 10));
   }
 }
 
@@ -155,7 +127,7 @@ TEST_F(CudaCoarseLevel, HelpsNewtonsMethodAndEquilibria) {
         if (quasi_static) scene.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);
         if (off && !in_double) scene.mutable_solver()->set_precision(v1::Solver::PRECISION_DOUBLE);
         const auto world = start(*cuda_, scene);
-        found[off] = after(*world, 2);
+        found[off] = displacement_after(*world, 2);
         iterations[off] = world->last().cg_iterations;
       }
       EXPECT_LT(relative_difference(found[0], found[1]), in_double ? 1e-4 : 2e-2) << quasi_static;
@@ -199,9 +171,9 @@ TEST_F(CudaCoarseLevel, ServesBodiesThatTouch) {
   scene.mutable_solver()->set_cg_max_iterations(400);
   scene.mutable_solver()->set_coarse_level(true);
   const auto cuda = start(*cuda_, scene), again = start(*cuda_, scene), cpu = start(*cpu_, scene);
-  const std::vector<double> found = after(*cuda, 60);
-  EXPECT_EQ(found, after(*again, 60)) << "it repeats bitwise";
-  EXPECT_LT(relative_difference(found, after(*cpu, 60)), 1e-3);
+  const std::vector<double> found = displacement_after(*cuda, 60);
+  EXPECT_EQ(found, displacement_after(*again, 60)) << "it repeats bitwise";
+  EXPECT_LT(relative_difference(found, displacement_after(*cpu, 60)), 1e-3);
 }
 
 /// A cut right through the ligament makes two bodies. Patches then have rows of both.
@@ -214,7 +186,7 @@ TEST_F(CudaCoarseLevel, ServesALigamentThatIsCutThrough) {
   body.move({{0.021, -0.001, -0.001}, {0.021, -0.001, 0.006}}, {{0.021, 0.006, -0.001}, {0.021, 0.006, 0.006}});
   const auto reference = start(*cuda_, scene_of(exact, false), body.cuts()),
              world = start(*cuda_, scene_of(ligament()), body.cuts());
-  EXPECT_LT(relative_difference(after(*world, 10), after(*reference, 10)), 0.01);
+  EXPECT_LT(relative_difference(displacement_after(*world, 10), displacement_after(*reference, 10)), 0.01);
   EXPECT_LT(world->last().cg_iterations, 60u);
 }
 
@@ -232,7 +204,7 @@ TEST_F(CudaCoarseLevel, ServesAllShapes) {
         one->mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
       }
       const auto world = start(*cuda_, scene), reference = start(*cuda_, exact);
-      EXPECT_LT(relative_difference(after(*world, 5), after(*reference, 5)), 0.01)
+      EXPECT_LT(relative_difference(displacement_after(*world, 5), displacement_after(*reference, 5)), 0.01)
           << v1::Shape_Name(shape) << (linear ? ", linear" : "");
     }
   }

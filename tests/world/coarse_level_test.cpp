@@ -8,28 +8,17 @@
 #include "backend/coarse_switch.h"
 #include "support/backends.h"
 #include "support/cutting.h"
-#include "support/scenes.h"
+#include "support/ligament.h"
 #include "world/world.h"
 
 /// When a scene's solves get a coarse level, and what it makes of a stiff, slender body.
 namespace tensormass::world {
 namespace {
 
-/// A ligament in steps of 10 ms: block-Jacobi needs hundreds of iterations for the tolerance, and has 100.
-constexpr tests::Beam kLigament{.cells_x = 20,
-                                .cells_y = 4,
-                                .cells_z = 4,
-                                .size_x_m = 0.04,
-                                .size_y_m = 0.005,
-                                .size_z_m = 0.004,
-                                .cg_max_iterations = 100,
-                                .cg_tolerance = 1e-3};
-
-v1::Scene scene_of(const tests::Beam& beam, std::optional<bool> coarse_level = {}) {
-  v1::Scene scene = tests::beam_scene(beam);
-  if (coarse_level) scene.mutable_solver()->set_coarse_level(*coarse_level);
-  return scene;
-}
+using tests::displacement_after;
+using tests::ligament;
+using tests::relative_difference;
+using tests::scene_of;
 
 std::unique_ptr<World> start(const v1::Scene& scene, std::uint32_t threads = 1) {
   static const std::unique_ptr<backend::Backend> cpu = backend::make_cpu_backend(1);
@@ -40,61 +29,46 @@ std::unique_ptr<World> start(const v1::Scene& scene, std::uint32_t threads = 1) 
   return std::move(*world);
 }
 
-/// Returns the displacement by node after some steps.
-std::vector<double> after(World& world, int steps) {
-  for (int step = 0; step < steps; ++step) EXPECT_TRUE(world.step(false)) << step;
-  return world.save().tissue.displacement;
-}
-
-double relative_difference(const std::vector<double>& a, const std::vector<double>& b) {
-  double difference = 0, size = 0;
-  for (std::size_t i = 0; i < b.size(); ++i) {
-    difference += (a[i] - b[i]) * (a[i] - b[i]);
-    size += b[i] * b[i];
-  }
-  return std::sqrt(difference / size);
-}
-
 /// Reference: the same mesh and law, solved to 1e-10 in double precision without a coarse level.
 std::vector<double> converged(tests::Beam beam, int steps) {
   beam.double_precision = true;
   beam.cg_max_iterations = 5000;
   beam.cg_tolerance = 1e-10;
-  return after(*start(scene_of(beam, false)), steps);
+  return displacement_after(*start(scene_of(beam, false)), steps);
 }
 
 TEST(CoarseLevel, MakesALigamentRightByDefaultFromTheFirstStep) {
   for (const int steps : {1, 10, 40}) {
-    const std::vector<double> expected = converged(kLigament, steps);
-    const auto world = start(scene_of(kLigament)), plain = start(scene_of(kLigament, false));
-    EXPECT_LT(relative_difference(after(*world, steps), expected), 0.01) << steps;
+    const std::vector<double> expected = converged(ligament(), steps);
+    const auto world = start(scene_of(ligament())), plain = start(scene_of(ligament(), false));
+    EXPECT_LT(relative_difference(displacement_after(*world, steps), expected), 0.01) << steps;
     EXPECT_LT(world->last().cg_iterations, 40u);
-    EXPECT_LE(world->last().cg_relative_residual, kLigament.cg_tolerance);
+    EXPECT_LE(world->last().cg_relative_residual, ligament().cg_tolerance);
     if (steps > 1) continue;
-    EXPECT_GT(relative_difference(after(*plain, steps), expected), 0.5);
-    EXPECT_EQ(plain->last().cg_iterations, kLigament.cg_max_iterations);
+    EXPECT_GT(relative_difference(displacement_after(*plain, steps), expected), 0.5);
+    EXPECT_EQ(plain->last().cg_iterations, ligament().cg_max_iterations);
   }
 }
 
 TEST(CoarseLevel, LeavesTheBitsOfScenesWithShortSolves) {
-  tests::Beam beam = kLigament;
+  tests::Beam beam = ligament();
   beam.young_modulus_pa = 1e3;
   beam.dt_s = 1e-3;
   const auto automatic = start(scene_of(beam), 2), off = start(scene_of(beam, false), 2);
-  EXPECT_EQ(after(*automatic, 30), after(*off, 30));
+  EXPECT_EQ(displacement_after(*automatic, 30), displacement_after(*off, 30));
   EXPECT_LT(off->last().cg_iterations, model::kCoarseFromIterations);
   EXPECT_GT(off->last().cg_iterations, 2u);
 }
 
 TEST(CoarseLevel, RepeatsToTheBitAndGoesOnFromASavedState) {
   for (const std::uint32_t threads : {1u, 2u}) {
-    const auto world = start(scene_of(kLigament), threads), again = start(scene_of(kLigament), threads),
-               later = start(scene_of(kLigament), threads);
-    EXPECT_EQ(after(*world, 5), after(*again, 5));
+    const auto world = start(scene_of(ligament()), threads), again = start(scene_of(ligament()), threads),
+               later = start(scene_of(ligament()), threads);
+    EXPECT_EQ(displacement_after(*world, 5), displacement_after(*again, 5));
     const World::Saved saved = world->save();
     EXPECT_GT(saved.tissue.coarse_solves, 0u);
     later->restore(saved);
-    EXPECT_EQ(after(*world, 10), after(*later, 10));
+    EXPECT_EQ(displacement_after(*world, 10), displacement_after(*later, 10));
   }
 }
 
@@ -103,7 +77,7 @@ TEST(CoarseLevel, HelpsNewtonsMethodAndEquilibria) {
     std::uint32_t iterations[2];
     std::vector<double> found[2];
     for (const bool off : {false, true}) {
-      tests::Beam beam = kLigament;
+      tests::Beam beam = ligament();
       beam.double_precision = true;
       beam.cg_max_iterations = 5000;
       beam.cg_tolerance = 1e-6;
@@ -111,7 +85,7 @@ TEST(CoarseLevel, HelpsNewtonsMethodAndEquilibria) {
       scene.mutable_solver()->set_newton_max_iterations(30);
       if (quasi_static) scene.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);
       const auto world = start(scene);
-      found[off] = after(*world, 2);
+      found[off] = displacement_after(*world, 2);
       iterations[off] = world->last().cg_iterations;
     }
     EXPECT_LT(relative_difference(found[0], found[1]), 1e-4);
@@ -131,12 +105,12 @@ TEST(CoarseLevel, ServesALigamentThatIsCutThrough) {
     if (!world) throw std::runtime_error(world.error().message);
     return std::move(*world);
   };
-  tests::Beam exact = kLigament;
+  tests::Beam exact = ligament();
   exact.double_precision = true;
   exact.cg_max_iterations = 5000;
   exact.cg_tolerance = 1e-10;
-  const auto reference = cut_in_two(scene_of(exact, false)), world = cut_in_two(scene_of(kLigament));
-  const std::vector<double> expected = after(*reference, 10), found = after(*world, 10);
+  const auto reference = cut_in_two(scene_of(exact, false)), world = cut_in_two(scene_of(ligament()));
+  const std::vector<double> expected = displacement_after(*reference, 10), found = displacement_after(*world, 10);
   EXPECT_LT(relative_difference(found, expected), 0.01);
   EXPECT_LT(world->last().cg_iterations, 60u);
   double lowest_m = 0;
