@@ -90,8 +90,8 @@ PoseInput::Rate PoseInput::count(std::size_t bytes, const Sender& sender) {
   const Verdict verdict = rate_of(sender).take(sender.number, bytes, std::chrono::steady_clock::now());
   if (verdict == Verdict::kTaken) return Rate::kWithin;
   counters_.count_refusal(sender.carrier, Refusal::kPoseRate);
-  const auto tell = [&](std::string_view what, std::string_view reason) {
-    on_malformed_({.who = sender.who(), .what = what, .reason = reason});
+  const auto tell = [&](std::string_view what, std::string_view reason, bool is_closed = false) {
+    on_malformed_({.who = sender.who(), .what = what, .reason = reason, .is_closed = is_closed});
   };
   if (verdict == Verdict::kDroppedAndTold) {
     tell(what_of(sender.carrier),
@@ -99,7 +99,7 @@ PoseInput::Rate PoseInput::count(std::size_t bytes, const Sender& sender) {
   }
   if (verdict == Verdict::kFloodAndTold) {
     tell(sender.carrier == Carrier::kZeroMq ? "a flood of poses over ZeroMQ" : "a flood of poses over zenoh",
-         "kMaxPoseLeadS ahead of kMaxPosesPerSecond or kMaxPoseBytesPerSecond; its client was disconnected");
+         "kMaxPoseLeadS ahead of kMaxPosesPerSecond or kMaxPoseBytesPerSecond; its client was disconnected", true);
   }
   const bool floods = verdict == Verdict::kFlood || verdict == Verdict::kFloodAndTold;
   return floods ? Rate::kFlood : Rate::kBeyond;

@@ -15,6 +15,7 @@ struct Refused {
   std::string_view what = {};   ///< a call, or in words what it sent
   std::string_view scene = {};  ///< empty: it was about none
   std::string_view reason = {};
+  bool is_closed = false;  ///< who sent it was disconnected
 };
 
 /// One line in the log for each refusal: who asked for what in a scene, and the reason.
@@ -23,7 +24,7 @@ struct Refused {
 /// flood of one kind hides no other. Any thread may call it; nobody waits.
 class Journal {
  public:
-  enum class Kind : std::uint8_t { kRole, kCall, kPose, kMessage, kConnection, kZenoh };
+  enum class Kind : std::uint8_t { kRole, kCall, kPose, kMessage, kFlood, kConnection, kZenoh };
 
   /// event: "refused", or "closed" for a client that was disconnected.
   void note(Kind kind, std::string_view event, const Refused& refused) {

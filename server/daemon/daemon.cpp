@@ -185,6 +185,8 @@ void Daemon::receive_pose(std::string_view scene, std::string_view tool, const v
 
 void Daemon::note_malformed(const Refused& message) {
   if (const auto runner = registry_.find(message.scene)) (*runner)->count_malformed_pose();
+  // A kind of its own: the refusals before it would hide the line, and none may follow.
+  if (message.is_closed) return journal_.note(Journal::Kind::kFlood, "closed", message);
   journal_.note(Journal::Kind::kMessage, "refused", message);
 }
 
