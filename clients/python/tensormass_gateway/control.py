@@ -17,7 +17,7 @@ from google.protobuf import json_format
 from tensormass import SceneFile, TensormassError
 from tensormass.v1 import adjustment_pb2, control_pb2, finding_pb2, gateway_pb2, scene_pb2
 from tensormass_gateway.daemon import Daemon
-from tensormass_gateway.requests import ProtocolError, finite_number, is_name
+from tensormass_gateway.requests import PARSE_ERRORS, ProtocolError, finite_number, is_name
 
 MAX_STEPS = 1000
 """Largest number of steps of one command."""
@@ -102,7 +102,7 @@ def read_command(request: dict[str, Any]) -> Command:
         raise ProtocolError("a command has unknown fields")
     try:
         command = json_format.ParseDict(given, gateway_pb2.ViewerCommand())
-    except (json_format.ParseError, RecursionError) as error:  # all other fields are checked
+    except PARSE_ERRORS as error:  # all other fields are checked
         raise ProtocolError("changes is not a SceneAdjustments as JSON") from error
     return Command(
         int(command.id),

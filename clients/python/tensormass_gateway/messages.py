@@ -9,7 +9,7 @@ from google.protobuf import json_format
 from google.protobuf.message import Message
 
 from tensormass.v1 import gateway_pb2
-from tensormass_gateway.requests import ProtocolError
+from tensormass_gateway.requests import PARSE_ERRORS, ProtocolError
 
 _ALL = gateway_pb2.GatewayMessage()
 _TYPES = {type(getattr(_ALL, field.name)): field.name for field in _ALL.DESCRIPTOR.fields}
@@ -51,7 +51,7 @@ def read(request: Mapping[str, Any]) -> gateway_pb2.ViewerMessage:
     fields = {name: value for name, value in request.items() if name != "type"}
     try:
         json_format.ParseDict(fields, getattr(message, kind), ignore_unknown_fields=True)
-    except (json_format.ParseError, RecursionError) as error:
+    except PARSE_ERRORS as error:
         raise ProtocolError("a message's type or fields are unknown") from error
     return message
 

@@ -6,6 +6,10 @@ import json
 import math
 from typing import Any
 
+from google.protobuf import json_format
+
+PARSE_ERRORS = (json_format.ParseError, RecursionError, OverflowError)
+"""Raised by protobuf for JSON of a stranger. The last one: a whole number that no float holds."""
 MAX_COORDINATE_M = 1e6
 """Largest coordinate of a pose. The daemon has the same limit."""
 
