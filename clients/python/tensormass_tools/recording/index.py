@@ -85,6 +85,8 @@ class RecordingIndex:
         self.topology = stream_pb2.Topology()
         # Tools of each version of the topology, which differ by nothing else.
         self._tools: dict[int, list[stream_pb2.ToolShape]] = {}
+        # What topology_of made last: a topology may hold pictures, and most frames follow one of the same version.
+        self._with_other_tools = stream_pb2.Topology()
         #: Time of each frame from the first one [s].
         self.times_s = array("d")
         self.marks: list[Mark] = []
@@ -124,12 +126,14 @@ class RecordingIndex:
         """Returns the topology with the tools of a frame."""
         if frame.topology_version == self.topology.version:
             return self.topology
-        out = stream_pb2.Topology()
-        out.CopyFrom(self.topology)
-        out.version = frame.topology_version
-        del out.tools[:]
-        out.tools.extend(self._tools[frame.topology_version])
-        return out
+        if frame.topology_version != self._with_other_tools.version:
+            out = stream_pb2.Topology()
+            out.CopyFrom(self.topology)
+            out.version = frame.topology_version
+            del out.tools[:]
+            out.tools.extend(self._tools[frame.topology_version])
+            self._with_other_tools = out
+        return self._with_other_tools
 
     def changes(self, frame: stream_pb2.Frame) -> changes_pb2.SurfaceChanges | None:
         """Reads the newest changes of the surface that are not newer than a frame. Raises like `frame`."""
