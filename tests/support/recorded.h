@@ -37,4 +37,17 @@ inline void expect_repeated(const v1::ReplaySceneResponse& replayed, const std::
   }
 }
 
+/// Fails unless another load of the scene repeats a recording from its start to the last bit.
+inline void expect_repeats(world::Runner& other, const world::StartedRecording& started, const Recorded& recorded) {
+  if (started.start.has_adjustments()) {
+    const auto adjusted = other.adjust(started.start.adjustments());
+    ASSERT_TRUE(adjusted) << adjusted.error().message;
+  }
+  const auto restored = other.restore(started.start.snapshot());
+  ASSERT_TRUE(restored) << restored.error().message;
+  const auto replayed = other.replay(recorded.request);
+  ASSERT_TRUE(replayed) << replayed.error().message;
+  expect_repeated(*replayed, recorded.checks);
+}
+
 }  // namespace tensormass::tests

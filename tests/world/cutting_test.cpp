@@ -222,16 +222,10 @@ TEST_P(Cutting, IsRecordedAndRepeatedToTheLastBit) {
       }
       ASSERT_TRUE(runner->step(2));
     }
-    const auto [request, checks] = tests::take_recorded(*started);
+    const tests::Recorded recorded = tests::take_recorded(*started);
+    ASSERT_EQ(recorded.checks.size(), 24u);
     const auto other = load(beam(in_double));
-    const auto adjusted = other->adjust(started->start.adjustments());
-    ASSERT_TRUE(adjusted) << adjusted.error().message;
-    const auto restored = other->restore(started->start.snapshot());
-    ASSERT_TRUE(restored) << restored.error().message;
-    const auto replayed = other->replay(request);
-    ASSERT_TRUE(replayed) << replayed.error().message;
-    ASSERT_EQ(checks.size(), 24u);
-    tests::expect_repeated(*replayed, checks);
+    ASSERT_NO_FATAL_FAILURE(tests::expect_repeats(*other, *started, recorded));
   }
 }
 

@@ -227,19 +227,11 @@ TEST_P(RandomEditsInARow, AreBalancedAndRepeated) {
         const auto stepped = runner->step(1 + random() % 4);
         ASSERT_TRUE(stepped) << "edit " << done << ": " << stepped.error().message;
       }
-      const auto [request, checks] = tests::take_recorded(*started);
+      const tests::Recorded recorded = tests::take_recorded(*started);
       runner->stop_recording(started->recording);
-      ASSERT_FALSE(checks.empty());
+      ASSERT_FALSE(recorded.checks.empty());
       const auto other = load(scene);
-      if (started->start.has_adjustments()) {
-        const auto adjusted = other->adjust(started->start.adjustments());
-        ASSERT_TRUE(adjusted) << adjusted.error().message;
-      }
-      const auto restored = other->restore(started->start.snapshot());
-      ASSERT_TRUE(restored) << restored.error().message;
-      const auto replayed = other->replay(request);
-      ASSERT_TRUE(replayed) << replayed.error().message;
-      tests::expect_repeated(*replayed, checks);
+      ASSERT_NO_FATAL_FAILURE(tests::expect_repeats(*other, *started, recorded));
       if (HasFailure()) return;
       if (early_bytes == 0 && done >= wanted / 4) early_bytes = resident_bytes();
     }

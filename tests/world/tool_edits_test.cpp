@@ -271,17 +271,11 @@ TEST_P(ToolEdits, AreRecordedAndRepeatedToTheLastBit) {
     ASSERT_TRUE(runner->reset()) << "which keeps the tools";
     EXPECT_EQ(runner->status().tools_size(), 2);
     rub(*runner, "second", 5, 0.07);
-    const auto [request, checks] = tests::take_recorded(*started);
-    ASSERT_EQ(checks.size(), 7u);
+    const tests::Recorded recorded = tests::take_recorded(*started);
+    ASSERT_EQ(recorded.checks.size(), 7u);
 
     const auto other = load(scene(in_double));
-    const auto adjusted = other->adjust(started->start.adjustments());
-    ASSERT_TRUE(adjusted) << adjusted.error().message;
-    const auto restored = other->restore(started->start.snapshot());
-    ASSERT_TRUE(restored) << restored.error().message;
-    const auto replayed = other->replay(request);
-    ASSERT_TRUE(replayed) << replayed.error().message;
-    tests::expect_repeated(*replayed, checks);
+    ASSERT_NO_FATAL_FAILURE(tests::expect_repeats(*other, *started, recorded));
     EXPECT_EQ(other->status().tools_size(), 2);
   }
 }
