@@ -120,6 +120,21 @@ def test_a_viewer_that_ends_is_named_in_the_report(
     assert report["stopped_viewer"] is None
 
 
+def test_edits_change_each_scene_in_every_second_part(load: Callable[..., Loaded]) -> None:
+    status, report = load(BLOCK, "--scenes", "2", "--haptic", "0", "--edits", "40", "--seconds", "2")
+    edits = report["edits"]
+    assert (status, report["errors"], edits["refused"]) == (0, [], 0)
+    assert [part["name"] for part in edits["parts"]] == ["without", "with", "without", "with"]
+    assert all(part["steps"] > 0 for part in edits["parts"])
+    assert edits["calls"]["count"] > 2
+    assert edits["calls"]["max_s"] > 0
+
+
+def test_edits_and_a_stopped_viewer_exclude_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["load-test", "--edits", "5", "--stop-viewer", "1", "--json", str(tmp_path / "report.json")]) == 1
+    assert "give one of them" in capsys.readouterr().err
+
+
 def test_poses_of_a_client_that_failed_are_not_known(
     load: Callable[..., Loaded], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

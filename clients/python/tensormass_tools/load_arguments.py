@@ -12,6 +12,7 @@ from tensormass_tools.load_test import _MAX_TOOLS
 _MAX_SCENES = 256
 _MAX_VIEWERS = 256
 _MAX_SECONDS = 86_400.0
+_MAX_EDITS_HZ = 1000.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,6 +52,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="SIGSTOP one viewer for so long and compare its scene's step times before, meanwhile and after",
     )
     parser.add_argument(
+        "--edits",
+        type=_edits_hz,
+        metavar="HZ",
+        help="change each scene so often a second, ablations and stiffness in turns, in every second quarter of the "
+        "time, and compare the quarters",
+    )
+    parser.add_argument(
         "--max-missed",
         type=_percent,
         metavar="PERCENT",
@@ -81,6 +89,13 @@ def _seconds(text: str) -> float:
     value = float(text)
     if not 0.0 < value <= _MAX_SECONDS:
         raise argparse.ArgumentTypeError(f"{text} is not in 0 to {_MAX_SECONDS:g} s")
+    return value
+
+
+def _edits_hz(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value <= _MAX_EDITS_HZ:
+        raise argparse.ArgumentTypeError(f"{text} is not in 0 to {_MAX_EDITS_HZ:g} Hz")
     return value
 
 

@@ -202,6 +202,13 @@ def to_text(report: Mapping[str, Any]) -> str:
                 for phase in stopped["phases"]
             ],
         )
+    edits = report.get("edits")
+    if edits:
+        lines += [f"  {edits['rate_hz']:g} edits a second of each scene, from call to answer: {_ms(edits['calls'])}"]
+        lines += _table(
+            ("edits", "steps", "missed"),
+            [(part["name"], part["steps"], part["missed_deadlines"]) for part in edits["parts"]],
+        )
     lines += [f"error: {error}" for error in report["errors"]]
     return "\n".join([*lines, "no errors" if not report["errors"] else f"{len(report['errors'])} errors"])
 

@@ -29,6 +29,7 @@ from tensormass._shared.files import replacing
 from tensormass._shared.processes import ChildProcess, end_explained, find_program
 from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_tools import load_report
+from tensormass_tools.load_edits import Edits, with_editing
 from tensormass_tools.load_report import Json
 from tensormass_tools.output import check_writable, load_silently
 from tensormass_tools.tool_sizes import movable_tools, radius_m
@@ -66,6 +67,8 @@ def load_test(args: argparse.Namespace) -> Json:
     """
     if args.stop_viewer is not None and args.viewers == 0:
         raise InvalidArgumentError("--stop-viewer needs a viewer; give --viewers 1 or more")
+    if args.stop_viewer is not None and args.edits is not None:
+        raise InvalidArgumentError("--stop-viewer and --edits compare parts of the same time; give one of them")
     if args.haptic > args.scenes * _MAX_TOOLS:
         raise InvalidArgumentError(
             f"--haptic {args.haptic}: at most {_MAX_TOOLS} tools in each of {args.scenes} scenes"
@@ -116,6 +119,8 @@ class _LoadTest:
         args = self._args
         source = Scene.from_file(args.scene).message
         tools = with_tools(source, math.ceil(args.haptic / args.scenes))
+        if args.edits is not None:
+            tools = with_editing(tools)
         malformed_before = self._server.version().malformed_messages
         # A shared daemon may have scenes of another load test.
         scenes = [self._load(tools, f"load-test-{os.getpid()}-{i}") for i in range(args.scenes)]
@@ -132,6 +137,11 @@ class _LoadTest:
             for i in range(args.haptic)
         ]
         stopped = self._with_a_stopped_viewer(viewers[0], scenes[0], phase_s) if phase_s else None
+        edits = None
+        if args.edits is not None:
+            edits = Edits(scenes, args.edits).run(seconds, lambda done: self._watch(viewers, done))
+            if edits["refused"]:
+                self._errors.append(f"{edits['refused']} edits were refused, the first: {edits['first_refusal']}")
         self._watch(viewers, lambda: time.monotonic() >= started + seconds)
         self._watch(
             viewers,
@@ -187,6 +197,7 @@ class _LoadTest:
             "haptic": reports,
             "viewers": viewer_reports,
             "stopped_viewer": stopped,
+            "edits": edits,
             "errors": self._errors,
         }
 
