@@ -1,7 +1,7 @@
 """A monkey's hand on every built-in scene with every instrument: what a trainee does, and worse.
 
-python -m stability.monkey [--backend cpu|cuda] [--walks N] [--first N] [--jobs N] [--rate HZ] [--limit SECONDS]
-                           [--write FILE]
+python -m stability.monkey [--backend cpu|cuda] [--walks N] [--first N] [--blades] [--jobs N] [--rate HZ]
+                           [--limit SECONDS] [--write FILE]
 
 A walk has a scene, an instrument, a motion and a mesh by its number, so that anyone can repeat it: `--first 17 --walks
 1`. The hand moves for 5 s at up to 0.5 m/s through the box around the bodies and 3 cm beyond, turned at random, with
@@ -9,7 +9,8 @@ joints that open and close. Then the tool leaves, and 3 s later the tissue is co
 touched.
 
 Each walk must go on to its end, with finite positions, no load above the tool's largest, and tissue that is back within
-1 mm. A body that nothing holds is where the hand left it, so that its place is not compared.
+1 mm. A body that nothing holds is where the hand left it, so that its place is not compared. Nor is that of tissue that
+was cut: with `--blades` the hand has a scalpel or scissors, in the scene `cut`.
 """
 
 from __future__ import annotations
@@ -52,6 +53,19 @@ INSTRUMENTS: dict[str, dict[str, Any] | None] = {
     "grasper": {"radius_m": 0.003, "jaw_length_m": 0.025},
     "box": {"size_x_m": 0.02, "size_y_m": 0.02, "size_z_m": 0.03, "edge_radius_m": 0.002},
 }
+#: The same for scenes with `editing.cutting`. Their walks have numbers of their own.
+BLADES: dict[str, dict[str, Any]] = {
+    "scalpel": {"length_m": 0.02, "thickness_m": 0.0005, "spacing_m": 0.001},
+    "scissors": {
+        "radius_m": 0.002,
+        "blade_length_m": 0.03,
+        "edge_offset_m": 0.002,
+        "thickness_m": 5e-4,
+        "spacing_m": 1e-3,
+    },
+}
+BLADE_SCENES = ("cut",)
+FIRST_BLADE_WALK = 100_000
 MOTIONS = ("walk", "stabs", "sweeps", "held", "walk")
 RESOLUTIONS = (1.0, 0.7)
 HAND_S, AWAY_S = 5.0, 3.0
@@ -150,7 +164,7 @@ def scene_of(name: str, instrument: str, resolution: float, rate_hz: float) -> t
                 scene = tm.Scene.from_file(file)
     if rate_hz > 0:
         scene.message.stepping.dt_s = 1 / rate_hz
-    shape = INSTRUMENTS[instrument]
+    shape = {**INSTRUMENTS, **BLADES}[instrument]
     if shape is None:
         return scene
     own = next(tool for tool in scene.message.tools if not tool.fixed)
@@ -163,6 +177,14 @@ def scene_of(name: str, instrument: str, resolution: float, rate_hz: float) -> t
 
 def plan_of(number: int) -> tuple[str, str, str, float]:
     """Returns scene, instrument, motion and resolution of a walk."""
+    if number >= FIRST_BLADE_WALK:
+        blades = list(BLADES)
+        return (
+            BLADE_SCENES[number % len(BLADE_SCENES)],
+            blades[number // len(BLADE_SCENES) % len(blades)],
+            MOTIONS[number // len(blades) % len(MOTIONS)],
+            1.0,
+        )
     return (
         SCENES[number % len(SCENES)],
         list(INSTRUMENTS)[number // len(SCENES) % len(INSTRUMENTS)],
@@ -193,7 +215,7 @@ def run_walk(server: tm.Server, number: int, rate_hz: float) -> Row:
         row = Row(number, name, instrument, motion, resolution, round(1 / dt_s, 3), round(speed, 3), None,
                   0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, None, "", 0.0)  # fmt: skip
         far = (float(box[0, 0]) - 0.3, float(box[0, 1]) - 0.3, float(box[1, 2]) + 0.3)
-        has_joints = tool.WhichOneof("kind") == "grasper"
+        has_joints = tool.WhichOneof("kind") in ("grasper", "scissors")
         poses = [_pose(places[i], turns[i], opening[i] if has_joints else None) for i in range(count)]
         poses += [(far, None, (0.0,) if has_joints else ())] * away
         step = 0
@@ -210,7 +232,8 @@ def run_walk(server: tm.Server, number: int, rate_hz: float) -> Row:
         row.recovering_steps = int(getattr(status, "recovering_steps", 0))
         row.held_steps = int(getattr(status, "held_steps", 0))
         if row.stopped_at_s is None:
-            row.left_mm = _left_mm(scene, handle, tool.name, far, bodies, has_joints)
+            if number < FIRST_BLADE_WALK:
+                row.left_mm = _left_mm(scene, handle, tool.name, far, bodies, has_joints)
             row.verdict = _verdict(row)
     row.seconds = round(time.monotonic() - began, 1)
     return row
@@ -321,7 +344,7 @@ def table(rows: list[Row]) -> str:
         "| tissue left away, at most |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for scene in SCENES:
+    for scene in SCENES + BLADE_SCENES:
         of = [row for row in rows if row.scene == scene]
         if not of:
             continue
@@ -330,7 +353,7 @@ def table(rows: list[Row]) -> str:
             f"| `{scene}` | {len(of)} | {sum(row.stopped_at_s is not None for row in of)} "
             f"| {sum(row.recoveries > 0 for row in of)} | {sum(row.recovering_steps for row in of)} "
             f"| {sum(row.held_steps for row in of)} | {max(row.largest_force_n for row in of):.3g} N "
-            f"| {'free body' if left is None else f'{left:.3g} mm'} |"
+            f"| {'free body, or cut' if left is None else f'{left:.3g} mm'} |"
         )
     return "\n".join(lines)
 
@@ -342,12 +365,14 @@ def main() -> int:
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--walks", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--blades", action="store_true", help="walks with a scalpel or scissors")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--rate", type=float, default=0.0, help="steps a second; default: the scene's")
     parser.add_argument("--limit", type=float, default=math.inf, help="start no walk after this time [s]")
     parser.add_argument("--write", type=Path, help="CSV file for the rows")
     arguments = parser.parse_args()
-    numbers = list(range(arguments.first, arguments.first + arguments.walks))
+    first = arguments.first + (FIRST_BLADE_WALK if arguments.blades else 0)
+    numbers = list(range(first, first + arguments.walks))
     rows = []
     for row in walks(arguments.backend, numbers, arguments.jobs, arguments.rate, arguments.limit):
         rows.append(row)

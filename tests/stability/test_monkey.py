@@ -36,6 +36,13 @@ def test_a_hand_never_stops_a_scene(server: tm.Server, number: int) -> None:
         assert row.left_mm <= 1e3 * monkey.LARGEST_LEFT_M, row
 
 
+@pytest.mark.parametrize("number", range(monkey.FIRST_BLADE_WALK, monkey.FIRST_BLADE_WALK + 4))
+def test_a_hand_with_a_blade_never_stops_a_scene(server: tm.Server, number: int) -> None:
+    row = monkey.run_walk(server, number, 0)
+    assert row.stopped_at_s is None, row.verdict
+    assert max(row.force_share, row.torque_share, row.joint_share) <= 1, row
+
+
 def test_a_fast_press_through_the_organ_does_not_jump(server: tm.Server) -> None:
     press = presses.run_press(server, "cpu", 0.5)
     assert press.verdict == "goes on", press
