@@ -54,10 +54,9 @@ Editor::Editor(const Model& m)
   piece_visible_ = tables().piece_visible;
   surface_vertex_ = tables().surface_vertex;
   visible_vertex_ = tables().visible_vertex;
-  triangle_piece_.assign(tables().contact.triangle_count(), kNone);
-  for (std::uint32_t p = 0; p < piece_triangle_.size(); ++p) {
-    if (piece_triangle_[p] != kNone) triangle_piece_[piece_triangle_[p]] = p;
-  }
+  triangle_piece_.resize(tables().contact.triangle_count());
+  triangle_element_.resize(triangle_piece_.size());
+  place_loaded_triangles();
   if (m.visible.count() > 0) surfaces_.resize(m.bodies.size());
   const SkinTables& skin = tables().skin;
   for (std::size_t b = 0; b < surfaces_.size(); ++b) {
@@ -191,19 +190,19 @@ void Editor::write_values(Model& m) {
   edit_ = {};
 }
 
-const ModelEdit& Editor::take_values(Model& m, const Model& next) {
+const ModelEdit& Editor::take_values(Model& m, const Model& next, EditedValues& values) {
   edit_.clear();
   ++number_;
   rows_.clear();
   records_.clear();
   m.gravity_m_per_s2 = next.gravity_m_per_s2;
-  m.external = next.external;
-  m.constant_edges = next.constant_edges;
-  m.element_moduli = next.element_moduli;
+  m.external.swap(values.external);
+  m.constant_edges.swap(values.constant_edges);
+  m.element_moduli.swap(values.element_moduli);
   for (std::size_t i = 0; i < m.inertia.size(); i += 4) {
     for (const std::size_t c : {1, 2}) m.inertia[i + c] = next.inertia[i + c];
   }
-  for (std::size_t g = 0; g < m.groups.size(); ++g) m.groups[g].parameters = next.groups[g].parameters;
+  for (std::size_t g = 0; g < m.groups.size(); ++g) m.groups[g].parameters.swap(values.parameters[g]);
   for (std::size_t b = 0; b < m.bodies.size(); ++b) static_cast<SurfaceModuli&>(m.bodies[b]) = next.bodies[b];
   write_triangle_moduli(m);
   if (m.contact.triangle_moduli != next.contact.triangle_moduli) {

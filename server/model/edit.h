@@ -62,6 +62,17 @@ struct BodySurface {
   std::vector<Face> appended_kinds;                ///< [appended triangle]
 };
 
+/// The vectors of a model that with_values changes and edits do not, for an edited model.
+struct EditedValues {
+  explicit EditedValues(const Model& of)
+      : external(of.external), constant_edges(of.constant_edges), element_moduli(of.element_moduli) {
+    for (const ElementGroup& group : of.groups) parameters.push_back(group.parameters);
+  }
+
+  std::vector<double> external, constant_edges, element_moduli;
+  std::vector<std::vector<double>> parameters;  ///< [group]
+};
+
 /// Edits one model. It keeps the shares and the surfaces; the model is given with each call and is always the same.
 class Editor {
  public:
@@ -101,13 +112,16 @@ class Editor {
   /// Computes loads and constant tensors of a model without edits that got other values (values.h).
   void write_values(Model& m);
   /// Gives the edited model the values of another one of its scene that has no edits (with_values). Returns the entries
-  /// that differ from those of `next` because material is gone.
-  const ModelEdit& take_values(Model& m, const Model& next);
+  /// that differ from those of `next` because material is gone. values: of `next`; afterwards those that the edited
+  /// model had, so that nothing is copied or freed here
+  const ModelEdit& take_values(Model& m, const Model& next, EditedValues& values);
 
   double kept(std::uint32_t element) const { return kept_[element]; }
   double volume_m3(std::uint32_t element) const { return tables().volumes[element]; }
   /// Returns the element that a contact triangle is a side of; mesh::kNone: the triangle is room.
-  std::uint32_t element_behind(std::uint32_t triangle) const;
+  std::uint32_t element_behind(std::uint32_t triangle) const {
+    return triangle < triangle_element_.size() ? triangle_element_[triangle] : mesh::kNone;
+  }
   double removed_mass_kg() const { return removed_mass_kg_; }
   double removed_volume_m3() const { return removed_volume_m3_; }
   /// [body] empty if the scene has no frames
@@ -163,6 +177,7 @@ class Editor {
   void write_face_pressures(Model& m, std::uint32_t element);
   void write_checked(Model& m, std::uint32_t element);
   void write_triangle_moduli(Model& m) const;
+  void place_loaded_triangles();
   void add(EditBuffer buffer, std::size_t begin, std::size_t count, std::size_t step = 1, std::uint32_t group = 0);
   std::vector<std::span<const Ablation>> parts_to_heal();
 
@@ -211,6 +226,7 @@ class Editor {
 
   // Surfaces.
   std::vector<std::uint32_t> piece_triangle_, triangle_piece_;  // [piece], [contact triangle]
+  std::vector<std::uint32_t> triangle_element_;                 // [contact triangle] the one behind; kNone: room
   std::vector<std::uint32_t> surface_vertex_;                   // [row]
   std::vector<std::uint32_t> piece_visible_, visible_vertex_;   // [piece], [row]
   std::vector<BodySurface> surfaces_;

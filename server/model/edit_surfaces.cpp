@@ -228,6 +228,7 @@ void Editor::remove_triangle(Model& m, std::uint32_t piece) {
     contact.triangle_moduli[2 * std::size_t{t} + c] = contact.triangle_moduli[2 * std::size_t{last} + c];
   }
   triangle_piece_[t] = triangle_piece_[last];
+  triangle_element_[t] = triangle_element_[last];
   piece_triangle_[triangle_piece_[t]] = t;
   edit_.moved_triangles.emplace_back(last, t);
   list_triangle(t);
@@ -259,6 +260,7 @@ void Editor::add_triangle(Model& m, std::uint32_t piece, std::uint32_t element) 
   }
   piece_triangle_[piece] = t;
   triangle_piece_[t] = piece;
+  triangle_element_[t] = element;
   edit_.moved_triangles.emplace_back(kNone, t);
   list_triangle(t);
 }
@@ -315,10 +317,7 @@ const ModelEdit& Editor::heal_surfaces(Model& m) {
     add(EditBuffer::kIncidenceEnd, 0, vertices);
     piece_triangle_ = tables().piece_triangle;
     surface_vertex_ = tables().surface_vertex;
-    std::fill(triangle_piece_.begin(), triangle_piece_.end(), kNone);
-    for (std::uint32_t p = 0; p < piece_triangle_.size(); ++p) {
-      if (piece_triangle_[p] != kNone) triangle_piece_[piece_triangle_[p]] = p;
-    }
+    place_loaded_triangles();
     write_triangle_moduli(m);
   }
   bool changed = false;
@@ -344,11 +343,18 @@ const ModelEdit& Editor::heal_surfaces(Model& m) {
   return edit_;
 }
 
-std::uint32_t Editor::element_behind(std::uint32_t triangle) const {
-  if (triangle >= triangle_piece_.size() || triangle_piece_[triangle] == kNone) return kNone;
+/// Makes the contact triangles those that the scene was loaded with.
+void Editor::place_loaded_triangles() {
+  std::fill(triangle_piece_.begin(), triangle_piece_.end(), kNone);
+  std::fill(triangle_element_.begin(), triangle_element_.end(), kNone);
   const std::vector<std::uint32_t>& begin = tables().pieces.begin;
-  const auto after = std::upper_bound(begin.begin(), begin.end(), triangle_piece_[triangle]);
-  return tables().face_element[static_cast<std::size_t>(after - begin.begin()) - 1];
+  for (std::size_t face = 0; face + 1 < begin.size(); ++face) {
+    for (std::uint32_t p = begin[face]; p < begin[face + 1]; ++p) {
+      if (piece_triangle_[p] == kNone) continue;
+      triangle_piece_[piece_triangle_[p]] = p;
+      triangle_element_[piece_triangle_[p]] = tables().face_element[face];
+    }
+  }
 }
 
 }  // namespace tensormass::model

@@ -156,6 +156,20 @@ void write_damping(std::span<const Damping> damping, Model& m) {
 /// scene would differ in last bits from one compiled by an earlier version.
 [[gnu::noinline]] double weight_of(double mass_kg, double gravity_m_per_s2) { return mass_kg * gravity_m_per_s2; }
 
+/// Copies all that with_values changes.
+void copy_values(const Model& from, Model& to) {
+  to.gravity_m_per_s2 = from.gravity_m_per_s2;
+  to.inertia = from.inertia;
+  to.external = from.external;
+  to.constant_edges = from.constant_edges;
+  to.element_moduli = from.element_moduli;
+  to.contact.triangle_moduli = from.contact.triangle_moduli;
+  to.links.candidate_modulus = from.links.candidate_modulus;
+  to.links.edge_numbers = from.links.edge_numbers;
+  for (std::size_t g = 0; g < from.groups.size(); ++g) to.groups[g].parameters = from.groups[g].parameters;
+  for (std::size_t b = 0; b < from.bodies.size(); ++b) static_cast<SurfaceModuli&>(to.bodies[b]) = from.bodies[b];
+}
+
 /// Says whether constant tensors of two models of a scene differ: whether linear laws have other moduli.
 bool have_other_tensors(std::span<const ElementGroup> present, std::span<const ElementGroup> next) {
   for (std::size_t g = 0; g < next.size(); ++g) {
@@ -166,7 +180,7 @@ bool have_other_tensors(std::span<const ElementGroup> present, std::span<const E
 
 }  // namespace
 
-Result<std::shared_ptr<const Model>> with_values(const Model& present, const v1::Scene& scene) {
+Result<std::shared_ptr<const Model>> with_values(const Model& present, const v1::Scene& scene, SpareModel& spare) {
   TM_ASSERT(present.value_tables != nullptr, "a compiled model has the sources of its values");
   TM_ASSERT(static_cast<std::size_t>(scene.bodies_size()) == present.bodies.size(), "the same scene");
   TM_ASSIGN_OR_RETURN(settings, read_settings(scene));
@@ -177,7 +191,8 @@ Result<std::shared_ptr<const Model>> with_values(const Model& present, const v1:
   if (settings.has_gravity != present.has_gravity || (gravity_changes && loads_change)) {
     return std::shared_ptr<const Model>();
   }
-  auto next = std::make_shared<Model>(present);
+  std::unique_ptr<Model> next = spare.take(present);
+  copy_values(present, *next);
   next->gravity_m_per_s2 = settings.gravity_m_per_s2;
   write_moduli(Materials(*next, std::move(materials)), *next);
   write_damping(damping, *next);
@@ -192,7 +207,7 @@ Result<std::shared_ptr<const Model>> with_values(const Model& present, const v1:
       next->constant_edges = add_up_constant_tensors(next->layout, next->groups, next->value_tables->linear);
     }
   }
-  return std::shared_ptr<const Model>(std::move(next));
+  return spare.share(std::move(next));
 }
 
 std::vector<EditRange> changed(const Model& present, const Model& next) {

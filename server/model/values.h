@@ -9,6 +9,7 @@
 #include "model/edit_buffers.h"
 #include "model/material_input.h"
 #include "model/model.h"
+#include "model/spare_model.h"
 
 namespace tensormass::v1 {
 class Scene;
@@ -53,7 +54,8 @@ struct ValueTables {
 ///
 ///   present   the scene's model without edits
 ///   scene     the same scene with other values
-Result<std::shared_ptr<const Model>> with_values(const Model& present, const v1::Scene& scene);
+///   spare     gives the memory of the new model, and gets it back
+Result<std::shared_ptr<const Model>> with_values(const Model& present, const v1::Scene& scene, SpareModel& spare);
 
 /// Lists the buffers, each as a whole, in which two models differ that with_values has made.
 std::vector<EditRange> changed(const Model& present, const Model& next);

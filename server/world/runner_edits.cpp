@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "core/log.h"
+#include "core/parallel.h"
 #include "model/values.h"
 #include "world/cuts.h"
 #include "world/hashes.h"
@@ -81,7 +82,7 @@ Result<void> Runner::Impl::change_values(v1::SceneAdjustments wanted) {
   // Cuts and tools have no parts.
   v1::SceneAdjustments edited = with_edits_of(wanted, present);
   if (edited.SerializeAsString() != present.SerializeAsString()) TM_RETURN_IF_ERROR(take_values(std::move(edited)));
-  TM_RETURN_IF_ERROR(model::with_values(*loop->generation()->model, adjusted(source->scene, wanted)));
+  TM_RETURN_IF_ERROR(model::with_values(*loop->generation()->model, adjusted(source->scene, wanted), spare));
   coming = Coming{std::move(wanted), 0};
   const auto taken = take_next_part();
   if (!taken) forget_parts();
@@ -131,19 +132,29 @@ Result<void> Runner::Impl::take_values(v1::SceneAdjustments wanted) {
   TM_ASSIGN_OR_RETURN(cuts, read_cuts(source->scene, wanted, present->cuts));
   if (cuts == present->cuts && same_tools(wanted, present->adjustments)) {
     const v1::Scene scene = adjusted(source->scene, wanted);
-    TM_ASSIGN_OR_RETURN(model, model::with_values(*present->model, scene));
-    if (model != nullptr) return write_values(scene, std::move(wanted), std::move(model));
+    // The hash reads all meshes, which takes as long as the values do.
+    std::uint64_t scene_hash = 0;
+    Result<std::shared_ptr<const model::Model>> made;
+    parallel_for(2, [&](std::size_t i) {
+      if (i == 0) {
+        made = model::with_values(*present->model, scene, spare);
+      } else {
+        scene_hash = hash_of(scene);
+      }
+    });
+    TM_ASSIGN_OR_RETURN(model, std::move(made));
+    if (model != nullptr) return write_values(scene_hash, std::move(wanted), std::move(model));
   }
   return swap_world(std::move(wanted), std::move(cuts));
 }
 
-/// Gives the world other values in place. Needs `adjusting`. scene: with the values; model: of that scene
-Result<void> Runner::Impl::write_values(const v1::Scene& scene, v1::SceneAdjustments wanted,
+/// Gives the world other values in place. Needs `adjusting`. scene_hash: with the values; model: likewise
+Result<void> Runner::Impl::write_values(std::uint64_t scene_hash, v1::SceneAdjustments wanted,
                                         std::shared_ptr<const model::Model> model) {
   const GenerationPointer present = loop->generation();
   const auto edit = std::make_shared<const Edit>(Adjust{wanted});
   TM_ASSIGN_OR_RETURN(values, loop->prepare_values(model));
-  auto next = next_generation(*present, std::move(model), hash_of(scene), std::move(wanted), present->cuts);
+  auto next = next_generation(*present, std::move(model), scene_hash, std::move(wanted), present->cuts);
   Loop::NewValues all{std::move(values), std::move(next), edit};
   return loop->call([&] { return loop->do_take_values(all); });
 }

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "core/thread_name.h"
+#include "model/spare_model.h"
 #include "world/adjustments.h"
 #include "world/compiled_scene.h"
 #include "world/edits.h"
@@ -71,7 +72,7 @@ struct Runner::Impl {
   Result<v1::SceneStatus> apply(const Reset& reset, const EditPointer& edit);
   Result<v1::SceneStatus> apply(const ChangeScene& change, const EditPointer& edit);
   Result<void> take_values(v1::SceneAdjustments wanted);
-  Result<void> write_values(const v1::Scene& scene, v1::SceneAdjustments wanted,
+  Result<void> write_values(std::uint64_t scene_hash, v1::SceneAdjustments wanted,
                             std::shared_ptr<const model::Model> model);
   GenerationPointer next_generation(const Generation& present, std::shared_ptr<const model::Model> model,
                                     std::uint64_t scene_hash, v1::SceneAdjustments wanted, model::SceneCuts cuts) const;
@@ -139,6 +140,7 @@ struct Runner::Impl {
   const std::unique_ptr<const Source> source;  // nullptr: the scene cannot be adjusted
   const std::string name;
 
+  model::SpareModel spare;         // for the next change of values
   std::mutex adjusting;            // one change of values or cuts at a time
   std::optional<Coming> coming;    // guarded by `adjusting`
   std::atomic<bool> comes{false};  // `coming` has a value

@@ -115,6 +115,7 @@ class World {
     std::shared_ptr<const model::Model> model;  ///< made by model::with_values; after take_values the one before
     std::unique_ptr<backend::PreparedEdit> buffers;
     Guard guard;
+    std::optional<model::EditedValues> edited;  ///< the scene has editing
   };
   /// Makes other values ready while the scene steps. Any thread may call it, if no other changes values meanwhile.
   /// Throws what SceneState::prepare throws.

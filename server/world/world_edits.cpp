@@ -133,13 +133,15 @@ Result<void> World::check_shares(const SavedBesideTissue& saved) const {
 World::Values World::prepare_values(std::shared_ptr<const model::Model> next) const {
   auto buffers = state_->prepare(*next, model::changed(*loaded_, *next));
   Guard guard(*next);
-  return {std::move(next), std::move(buffers), std::move(guard)};
+  std::optional<model::EditedValues> edited;
+  if (edited_ != nullptr) edited.emplace(*next);
+  return {std::move(next), std::move(buffers), std::move(guard), std::move(edited)};
 }
 
 void World::take_values(Values& values) {
   state_->apply(*values.buffers);
   if (editor_) {
-    state_->apply(editor_->take_values(*edited_, *values.model));
+    state_->apply(editor_->take_values(*edited_, *values.model, *values.edited));
   } else {
     model_ = values.model.get();
   }

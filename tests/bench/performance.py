@@ -103,10 +103,8 @@ def _target_row(row: Row) -> str:
     if row["step_ms_median"] > 10:
         step = f"{row['step_ms_median']:.2f} ({row['step_ms_p99']:.2f}) ms"
     kind = "p99 " if case.startswith("beam 1019520") else ""
-    return (
-        f"| {_case_words(case)} | {step} | {iteration} | {f'{floor:.3g} ms' if floor else ''} "
-        f"| {kind}{target:.4g} ms | {_verdict(row['target_met'])} |"
-    )
+    ends = " | |" if row["target_met"] is None else f" {kind}{target:.4g} ms | {_verdict(row['target_met'])} |"
+    return f"| {_case_words(case)} | {step} | {iteration} | {f'{floor:.3g} ms' if floor else ''} |{ends}"
 
 
 def kept_shares(row: Row) -> float:
@@ -241,6 +239,41 @@ def contacts() -> Iterator[str]:
         cells.setdefault(case, {})[row["device"]] = times
     for case, of_device in cells.items():
         yield f"| {case} | {' | '.join(of_device.get(device, '') for device in devices)} |"
+
+
+def bodies() -> Iterator[str]:
+    """Time, error and iterations of boxes that fall, by mesh: the newest rows of each device."""
+    by_setting = {(row["device"], case, row["setting"]): row for row in rows("bodies.jsonl") for case in (row["case"],)}
+    yield "| body, tetrahedra, device | default | two linearizations | iterations to 1 %: without coarse level | with |"
+    yield "|---|---|---|---|---|"
+    for device, case in dict.fromkeys((device, case) for device, case, _ in by_setting):
+        of = {setting: row for (its, same, setting), row in by_setting.items() if (its, same) == (device, case)}
+        measured = [
+            f"{of[name]['step_ms_median']:.3g} ms, {of[name]['error_percent']:.2g} %" for name in ("default", "newton")
+        ]
+        counts = [
+            str(of[name]["iterations_to_1_percent"] or f"more than {of[name]['cg_iterations_last'] // 2}")
+            for name in ("plain", "coarse")
+        ]
+        yield f"| {_thousands(case.removeprefix('body: '))}, {device} | {' | '.join([*measured, *counts])} |"
+
+
+def changes() -> Iterator[str]:
+    """What a change of a scene costs it while it steps in real time, and how long the change takes."""
+    yield "| `retract` in real time | deadlines missed | from the call to the answer: median (p99) |"
+    yield "|---|---|---|"
+    found = {row["device"]: row for row in rows("editing.jsonl") if row["case"] == "editing: retract in real time"}
+    for device, row in found.items():
+        for kind, words in (
+            ("plain", "no change"),
+            ("stiffness", "ten changes of stiffness a second"),
+            ("ablation", "ten ablations a second"),
+        ):
+            missed = f"{row[f'{kind}_missed_deadlines']:,} of {row[f'{kind}_steps']:,}"
+            took = (
+                f"{row[f'{kind}_call_ms_median']:.3g} ({row[f'{kind}_call_ms_p99']:.3g}) ms" if kind != "plain" else ""
+            )
+            yield f"| {row['elements']:,} tetrahedra, {device}: {words} | {missed} | {took} |"
 
 
 def streams() -> Iterator[str]:
@@ -459,8 +492,10 @@ TABLES = {
         "roam": leading.roam_table,
         "runs": lambda: leading.runs_table(RESULTS),
         "targets": targets,
+        "changes": changes,
         "sources": sources,
     },
+    REPOSITORY / "docs" / "decisions" / "preconditioner.md": {"bodies": bodies},
     REPOSITORY / "docs" / "decisions" / "step-times.md": {
         "organs": organs,
         "processors": processors,

@@ -23,7 +23,8 @@ def test_every_target_of_the_results_is_in_the_table() -> None:
     for row in found:
         (line,) = (line for line in lines if line.startswith(f"| {performance._case_words(row['case'])} |"))
         assert f"{row['step_ms_median']:.3g} ({row['step_ms_p99']:.3g}) ms" in line
-        assert line.endswith("| **met** |" if row["target_met"] else "| missed |")
+        if row["target_met"] is not None:
+            assert line.endswith("| **met** |" if row["target_met"] else "| missed |")
 
 
 def test_a_missed_target_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

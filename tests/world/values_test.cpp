@@ -130,10 +130,17 @@ void expect_compiled_values(const v1::Scene& scene, matrix::Storage storage, con
   Buffers buffers(first);
   const model::Model* present = &first;
   std::shared_ptr<const model::Model> next;
+  model::SpareModel spare;
   std::mt19937 random(3);
-  for (int round = 0; round < 3; ++round) {
-    const v1::Scene wanted = adjusted(scene, random_values(scene, random));
-    auto made = model::with_values(*present, wanted);
+  v1::SceneAdjustments last;
+  // From the third on in the memory of an earlier one, then with the gravity of the last one, then with its bodies.
+  for (int round = 0; round < 5; ++round) {
+    v1::SceneAdjustments values = random_values(scene, random);
+    if (round == 3 && scene.has_gravity_m_per_s2()) *values.mutable_gravity_m_per_s2() = last.gravity_m_per_s2();
+    if (round == 4 && scene.has_gravity_m_per_s2()) *values.mutable_bodies() = last.bodies();
+    const v1::Scene wanted = adjusted(scene, values);
+    last = values;
+    auto made = model::with_values(*present, wanted, spare);
     ASSERT_TRUE(made) << made.error().message;
     ASSERT_NE(*made, nullptr);
     EXPECT_FALSE(model::changed(*present, **made).empty());
@@ -152,7 +159,10 @@ void expect_compiled_values(const v1::Scene& scene, matrix::Storage storage, con
   }
 }
 
-class Values : public testing::TestWithParam<matrix::Storage> {};
+class Values : public testing::TestWithParam<matrix::Storage> {
+ protected:
+  model::SpareModel spare_;
+};
 
 TEST_P(Values, AreThoseOfACompiledScene) {
   int number = 0;
@@ -171,7 +181,7 @@ TEST_P(Values, OfAQuasiStaticSceneAreThoseOfACompiledScene) {
   // Loads of such a scene grow in the first step, from values that a state would not have.
   v1::Scene lighter = with_gravity;
   lighter.mutable_gravity_m_per_s2()->set_y(-1);
-  EXPECT_EQ(model::with_values(compile(with_gravity, GetParam()), lighter).value(), nullptr);
+  EXPECT_EQ(model::with_values(compile(with_gravity, GetParam()), lighter, spare_).value(), nullptr);
 }
 
 TEST_P(Values, OfACutSceneAreThoseOfACompiledScene) {
@@ -191,15 +201,15 @@ TEST_P(Values, ThatNeedOtherBuffersAreCompiled) {
   scene.clear_gravity_m_per_s2();
   v1::Scene heavy = scene;
   heavy.mutable_gravity_m_per_s2()->set_y(-1);
-  EXPECT_EQ(model::with_values(compile(scene, GetParam()), heavy).value(), nullptr);
+  EXPECT_EQ(model::with_values(compile(scene, GetParam()), heavy, spare_).value(), nullptr);
   heavy.mutable_gravity_schedule()->add_time_s(0);
   heavy.mutable_gravity_schedule()->add_factor(0.5);
   v1::Scene heavier = heavy;
   heavier.mutable_gravity_m_per_s2()->set_y(-2);
   const model::Model present = compile(heavy, GetParam());
-  EXPECT_EQ(model::with_values(present, heavier).value(), nullptr);
+  EXPECT_EQ(model::with_values(present, heavier, spare_).value(), nullptr);
   heavy.mutable_bodies(0)->set_rayleigh_mass_per_s(3);
-  EXPECT_NE(model::with_values(present, heavy).value(), nullptr) << "the same gravity stays as it is";
+  EXPECT_NE(model::with_values(present, heavy, spare_).value(), nullptr) << "the same gravity stays as it is";
 }
 
 TEST_P(Values, AreRefusedAsACompileDoes) {
@@ -207,7 +217,7 @@ TEST_P(Values, AreRefusedAsACompileDoes) {
   const model::Model present = compile(scene, GetParam());
   v1::Scene bad = scene;
   bad.mutable_bodies(0)->mutable_law()->mutable_st_venant_kirchhoff()->set_young_modulus_pa(-1);
-  const auto refused = model::with_values(present, bad);
+  const auto refused = model::with_values(present, bad, spare_);
   ASSERT_FALSE(refused);
   const auto compiled = model::compile(bad, {.storage = GetParam()});
   ASSERT_FALSE(compiled);
@@ -250,6 +260,7 @@ TEST_P(ChangingValues, LeaveTheBuffersOfTheEditedModel) {
     model::Model edited = *first;
     const auto state = backend_->create(edited).value();
     model::Editor editor(edited);
+    model::SpareModel spare;
     tests::RandomEdits random(7);
     std::mt19937 random_of_values(8);
     v1::Scene wanted = scene;
@@ -260,10 +271,11 @@ TEST_P(ChangingValues, LeaveTheBuffersOfTheEditedModel) {
       state->apply(editor.ablate(edited, edit));
       done.push_back(edit);
       wanted = adjusted(scene, random_values(scene, random_of_values));
-      auto next = model::with_values(*present, wanted).value();
+      auto next = model::with_values(*present, wanted, spare).value();
       const auto ready = state->prepare(*next, model::changed(*present, *next));
+      model::EditedValues values(*next);
       state->apply(*ready);
-      state->apply(editor.take_values(edited, *next));
+      state->apply(editor.take_values(edited, *next, values));
       present = std::move(next);
       expect_equal_states(*state, *backend_->create(edited).value());
     }

@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <cstdint>
 #include <cstring>
+#include <limits>
+#include <memory>
+#include <utility>
 #include <vector>
 
 #include <cuda_runtime.h>
@@ -61,19 +64,50 @@ void split_into_entries(void* to, const void* from, std::size_t bytes, const Add
   }
 }
 
-/// Entries in device memory, brought there while the scene steps. Memory is allocated and released in a stream of its
-/// own: cudaFree would wait for the work of all streams.
+/// A stream and memory for edits that are brought to the device while the scene steps. cudaFree would wait for the
+/// work of all streams, and the device's own pool gives memory back to the system whenever a stream is waited for, a
+/// step's too. This pool keeps what it once had.
+class EditMemory {
+ public:
+  EditMemory() {
+    cudaMemPoolProps of{};
+    of.allocType = cudaMemAllocationTypePinned;
+    of.location.type = cudaMemLocationTypeDevice;
+    check(cudaGetDevice(&of.location.id), "memory of edits");
+    check(cudaMemPoolCreate(&pool_, &of), "memory of edits");
+    std::uint64_t kept_bytes = std::numeric_limits<std::uint64_t>::max();
+    if (const cudaError_t set = cudaMemPoolSetAttribute(pool_, cudaMemPoolAttrReleaseThreshold, &kept_bytes);
+        set != cudaSuccess) {
+      cudaMemPoolDestroy(pool_);
+      check(set, "memory of edits");
+    }
+  }
+  EditMemory(const EditMemory&) = delete;
+  EditMemory& operator=(const EditMemory&) = delete;
+  ~EditMemory() { cudaMemPoolDestroy(pool_); }
+  cudaStream_t stream() const { return stream_.get(); }
+  cudaMemPool_t pool() const { return pool_; }
+
+ private:
+  const Stream stream_ = make_stream();
+  cudaMemPool_t pool_ = nullptr;
+};
+
+/// Entries in device memory, brought there while the scene steps.
 class DeviceEntries final : public PreparedEdit {
  public:
-  explicit DeviceEntries(const std::vector<Scattered>& entries) : count_(static_cast<std::uint32_t>(entries.size())) {
+  DeviceEntries(const std::vector<Scattered>& entries, std::shared_ptr<const EditMemory> memory)
+      : memory_(std::move(memory)), count_(static_cast<std::uint32_t>(entries.size())) {
     if (count_ == 0) return;
+    cudaStream_t const stream = memory_->stream();
     const std::size_t bytes = entries.size() * sizeof(Scattered);
-    check(cudaMallocAsync(reinterpret_cast<void**>(&entries_), bytes, stream_.get()), "memory of an edit");
+    check(cudaMallocFromPoolAsync(reinterpret_cast<void**>(&entries_), bytes, memory_->pool(), stream),
+          "memory of an edit");
     try {
-      check(cudaMemcpyAsync(entries_, entries.data(), bytes, cudaMemcpyHostToDevice, stream_.get()), "edit");
-      check(cudaStreamSynchronize(stream_.get()), "edit");
+      check(cudaMemcpyAsync(entries_, entries.data(), bytes, cudaMemcpyHostToDevice, stream), "edit");
+      check(cudaStreamSynchronize(stream), "edit");
     } catch (...) {
-      cudaFreeAsync(entries_, stream_.get());
+      cudaFreeAsync(entries_, stream);
       throw;
     }
   }
@@ -81,7 +115,7 @@ class DeviceEntries final : public PreparedEdit {
   DeviceEntries& operator=(const DeviceEntries&) = delete;
   /// Needs the kernel of `run` to have ended.
   ~DeviceEntries() override {
-    if (entries_ != nullptr) cudaFreeAsync(entries_, stream_.get());
+    if (entries_ != nullptr) cudaFreeAsync(entries_, memory_->stream());
   }
   void run(cudaStream_t stream) const {
     constexpr unsigned kThreads = 256;
@@ -92,7 +126,7 @@ class DeviceEntries final : public PreparedEdit {
   }
 
  private:
-  const Stream stream_ = make_stream();
+  const std::shared_ptr<const EditMemory> memory_;
   std::uint32_t count_;
   Scattered* entries_ = nullptr;
 };

@@ -205,7 +205,7 @@ class CudaState final : public SceneState {
         next, ranges, bound_.buffers, buffers_, [&](void* to, const void* from, std::size_t bytes) {
           split_into_entries(to, from, bytes, [&](const Scattered& entry) { entries.push_back(entry); });
         });
-    return std::make_unique<DeviceEntries>(entries);
+    return std::make_unique<DeviceEntries>(entries, edit_memory_);
   }
   void apply(const PreparedEdit& edit) override {
     static_cast<const DeviceEntries&>(edit).run(stream());
@@ -581,6 +581,7 @@ class CudaState final : public SceneState {
   std::vector<view::ElementView<Real>> groups_;
   std::vector<model::GroupBuffers<Real>> buffers_;  // [group]
   EditQueue edits_;
+  const std::shared_ptr<const EditMemory> edit_memory_ = std::make_shared<const EditMemory>();
   std::vector<std::uint32_t> moves_;  // [move, 2] contact triangles in the present edit: from, to
   unsigned threads_ = 0;
   SolvePlan solve_plan_;
