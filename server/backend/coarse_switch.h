@@ -9,9 +9,21 @@
 /// Decides which solves of a scene have a coarse level (solver/coarse_level.h).
 namespace tensormass::backend {
 
+/// Which plain solves of more than model::kCoarseFromIterations would have been better with a coarse level: those of
+/// more than `iterations`, and those that ended at their limit with a relative error above `error` in the energy norm.
+struct CoarsePrice {
+  std::uint32_t iterations;
+  double error;
+};
+/// By a count of operations the coarse level costs a CPU as much as about 30 iterations.
+inline constexpr CoarsePrice kCoarseOnCpu{model::kCoarseFromIterations, 0};
+/// On an H200 a step with it takes 0.6 to 2.8 ms, as long as 450 to 900 iterations of a fused solve
+/// (tests/bench/bodies.py).
+inline constexpr CoarsePrice kCoarseOnGpu{512, 0.1};
+
 /// Follows the iterations of a scene's solves. It depends on nothing else, so a replay decides alike.
 ///
-///   a plain solve took more than model::kCoarseFromIterations   the coarse level is on for the next kFirstHeld solves
+///   a plain solve took long (CoarsePrice)                       the coarse level is on for the next kFirstHeld solves
 ///   these are over                                              a plain solve tries whether it is still needed
 ///   that took as many again                                     it is on for twice as many, up to kFirstHeld · 2^kMost
 ///   a solve with it failed                                      it is off for the next kBarred, whatever they take
@@ -31,11 +43,13 @@ class CoarseSwitch {
     return settings.coarse_use == model::CoarseUse::kAlways ||
            (settings.coarse_use == model::CoarseUse::kAutomatic && left_ > 0 && !is_barred_);
   }
-  /// Takes the iterations of a solve.
-  void take_solve(std::uint32_t iterations) {
+  /// Takes a solve. error: solver::missing_share
+  void take_solve(std::uint32_t iterations, double error, const CoarsePrice& price) {
+    const bool took_long =
+        iterations > model::kCoarseFromIterations && (iterations > price.iterations || error > price.error);
     if (left_ > 0) {
       if (--left_ == 0) is_barred_ = false;
-    } else if (iterations > model::kCoarseFromIterations) {
+    } else if (took_long) {
       left_ = kFirstHeld << doublings_;
       doublings_ = std::min(doublings_ + 1, kMost);
     } else {

@@ -18,10 +18,10 @@ struct Editing {
 };
 
 /// Whether linear solves have a coarse level (v1::Solver.coarse_level).
-/// kAutomatic: as soon as a solve has taken more than kCoarseFromIterations.
+/// kAutomatic: once a solve has taken long (backend::CoarsePrice), more than kCoarseFromIterations at least.
 enum class CoarseUse : std::uint8_t { kAutomatic, kNever, kAlways };
 
-/// By a count of operations the coarse level costs a CPU as much as about 30 iterations, and leaves 20 to 45 of them.
+/// No solve of fewer gets a coarse level by itself: it leaves 20 to 45 of them.
 inline constexpr std::uint32_t kCoarseFromIterations = 80;
 
 /// What a scene says as a whole. Constant as long as the scene is loaded, whatever happens to its bodies.

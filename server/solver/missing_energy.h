@@ -42,6 +42,13 @@ double missing_energy_j(const view::SolveReport<Real>& report, std::uint32_t max
   return late * std::max(ratio / (1 - ratio), 1.0);
 }
 
+/// Returns √(e·A e / (x·A x + e·A e)): the error of the solve in the energy norm, relative to its solution. 0: as above.
+template <class Real>
+double missing_share(const view::SolveReport<Real>& report, std::uint32_t max_iterations) {
+  const double missing_j = missing_energy_j(report, max_iterations);
+  return missing_j > 0 ? std::sqrt(missing_j / (static_cast<double>(report.gained_energy[2]) + missing_j)) : 0;
+}
+
 /// The error of a step that the energy e·A e implies.
 struct StepError {
   double displacement_m = 0;  ///< root mean square over the scene, weighted by mass

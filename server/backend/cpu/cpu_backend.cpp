@@ -234,7 +234,11 @@ class CpuState final : public SceneState {
     take_solve();
   }
   void choose_level() { uses_coarse_ = coarse_.aggregate_count > 0 && checkpoint_.coarse().is_on(model_); }
-  void take_solve() { checkpoint_.coarse().take_solve(view_.solve.report->iterations); }
+  void take_solve() {
+    const view::SolveReport<Real>& solve = *view_.solve.report;
+    const double error = solver::missing_share(solve, inputs_.control->cg_max_iterations);
+    checkpoint_.coarse().take_solve(solve.iterations, error, kCoarseOnCpu);
+  }
   bool repeats(const StepResult& result) {
     return coarse_.aggregate_count > 0 && checkpoint_.coarse().repeats(model_, result, uses_coarse_);
   }

@@ -5,6 +5,8 @@
 #include <cstring>
 #include <limits>
 #include <memory>
+#include <mutex>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -14,6 +16,7 @@
 #include "backend/cuda/graph.cuh"
 #include "backend/cuda/memory.cuh"
 #include "backend/edited_state.h"
+#include "core/assert.h"
 
 /// An edit of a scene on the device: the host lists what to write, one kernel writes it.
 ///
@@ -66,7 +69,7 @@ void split_into_entries(void* to, const void* from, std::size_t bytes, const Add
 
 /// A stream and memory for edits that are brought to the device while the scene steps. cudaFree would wait for the
 /// work of all streams, and the device's own pool gives memory back to the system whenever a stream is waited for, a
-/// step's too. This pool keeps what it once had.
+/// step's too. This pool keeps what it once had, and so does the page-locked memory on the host.
 class EditMemory {
  public:
   EditMemory() {
@@ -86,31 +89,45 @@ class EditMemory {
   EditMemory& operator=(const EditMemory&) = delete;
   ~EditMemory() { cudaMemPoolDestroy(pool_); }
   cudaStream_t stream() const { return stream_.get(); }
-  cudaMemPool_t pool() const { return pool_; }
+
+  /// Brings entries to the device and waits until they are there. Any thread may call it. Returns memory of the pool,
+  /// and writes how many entries it has.
+  ///
+  ///   fill(entries)   writes at most `room` entries and returns their number
+  template <class Fill>
+  Scattered* bring(std::size_t room, const Fill& fill, std::uint32_t& count) {
+    const std::lock_guard lock(mutex_);
+    if (!staging_ || staging_->size() < room) staging_.emplace(room);
+    count = static_cast<std::uint32_t>(fill(staging_->data()));
+    TM_ASSERT(count <= room, "entries have room");
+    if (count == 0) return nullptr;
+    const std::size_t bytes = count * sizeof(Scattered);
+    Scattered* entries = nullptr;
+    check(cudaMallocFromPoolAsync(reinterpret_cast<void**>(&entries), bytes, pool_, stream()), "memory of an edit");
+    try {
+      check(cudaMemcpyAsync(entries, staging_->data(), bytes, cudaMemcpyHostToDevice, stream()), "edit");
+      check(cudaStreamSynchronize(stream()), "edit");
+    } catch (...) {
+      cudaFreeAsync(entries, stream());
+      throw;
+    }
+    return entries;
+  }
 
  private:
   const Stream stream_ = make_stream();
   cudaMemPool_t pool_ = nullptr;
+  std::mutex mutex_;
+  std::optional<Pinned<Scattered>> staging_;  // guarded by mutex_
 };
 
 /// Entries in device memory, brought there while the scene steps.
 class DeviceEntries final : public PreparedEdit {
  public:
-  DeviceEntries(const std::vector<Scattered>& entries, std::shared_ptr<const EditMemory> memory)
-      : memory_(std::move(memory)), count_(static_cast<std::uint32_t>(entries.size())) {
-    if (count_ == 0) return;
-    cudaStream_t const stream = memory_->stream();
-    const std::size_t bytes = entries.size() * sizeof(Scattered);
-    check(cudaMallocFromPoolAsync(reinterpret_cast<void**>(&entries_), bytes, memory_->pool(), stream),
-          "memory of an edit");
-    try {
-      check(cudaMemcpyAsync(entries_, entries.data(), bytes, cudaMemcpyHostToDevice, stream), "edit");
-      check(cudaStreamSynchronize(stream), "edit");
-    } catch (...) {
-      cudaFreeAsync(entries_, stream);
-      throw;
-    }
-  }
+  /// room, fill: see EditMemory::bring
+  template <class Fill>
+  DeviceEntries(std::shared_ptr<EditMemory> memory, std::size_t room, const Fill& fill)
+      : memory_(std::move(memory)), entries_(memory_->bring(room, fill, count_)) {}
   DeviceEntries(const DeviceEntries&) = delete;
   DeviceEntries& operator=(const DeviceEntries&) = delete;
   /// Needs the kernel of `run` to have ended.
@@ -126,9 +143,9 @@ class DeviceEntries final : public PreparedEdit {
   }
 
  private:
-  const std::shared_ptr<const EditMemory> memory_;
-  std::uint32_t count_;
-  Scattered* entries_ = nullptr;
+  const std::shared_ptr<EditMemory> memory_;
+  std::uint32_t count_ = 0;
+  Scattered* const entries_;
 };
 
 /// Collects entries and numbers in page-locked memory and launches the kernels that read them there.

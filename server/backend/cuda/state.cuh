@@ -197,15 +197,18 @@ class CudaState final : public SceneState {
   }
   std::unique_ptr<PreparedEdit> prepare(const model::Model& next,
                                         const std::vector<model::EditRange>& ranges) const override {
-    std::vector<Scattered> entries;
     std::size_t values = 0;
     for (const model::EditRange& range : ranges) values += range.count;
-    entries.reserve(values * sizeof(Real) / sizeof(entries[0].value));
-    model::for_each_write<Real>(
-        next, ranges, bound_.buffers, buffers_, [&](void* to, const void* from, std::size_t bytes) {
-          split_into_entries(to, from, bytes, [&](const Scattered& entry) { entries.push_back(entry); });
-        });
-    return std::make_unique<DeviceEntries>(entries, edit_memory_);
+    const auto fill = [&](Scattered* entries) {
+      std::size_t count = 0;
+      model::for_each_write<Real>(
+          next, ranges, bound_.buffers, buffers_, [&](void* to, const void* from, std::size_t bytes) {
+            split_into_entries(to, from, bytes, [&](const Scattered& entry) { entries[count++] = entry; });
+          });
+      return count;
+    };
+    // No type of a buffer that edits write has more than 8 bytes.
+    return std::make_unique<DeviceEntries>(edit_memory_, 2 * values, fill);
   }
   void apply(const PreparedEdit& edit) override {
     static_cast<const DeviceEntries&>(edit).run(stream());
@@ -313,7 +316,9 @@ class CudaState final : public SceneState {
   void take_solve() {
     if (!solve_is_new_) return;
     solve_is_new_ = false;
-    checkpoint_.coarse().take_solve(solve_.data()->iterations);
+    const view::SolveReport<Real>& solve = *solve_.data();
+    checkpoint_.coarse().take_solve(solve.iterations, solver::missing_share(solve, control_.host->cg_max_iterations),
+                                    kCoarseOnGpu);
   }
   void launch_graph(const Graph& graph, const char* what) { check(cudaGraphLaunch(graph.get(), stream()), what); }
   void launch_frame() {
@@ -581,7 +586,7 @@ class CudaState final : public SceneState {
   std::vector<view::ElementView<Real>> groups_;
   std::vector<model::GroupBuffers<Real>> buffers_;  // [group]
   EditQueue edits_;
-  const std::shared_ptr<const EditMemory> edit_memory_ = std::make_shared<const EditMemory>();
+  const std::shared_ptr<EditMemory> edit_memory_ = std::make_shared<EditMemory>();
   std::vector<std::uint32_t> moves_;  // [move, 2] contact triangles in the present edit: from, to
   unsigned threads_ = 0;
   SolvePlan solve_plan_;
