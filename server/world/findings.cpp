@@ -38,14 +38,17 @@ void add(Finding finding, const model::Model& m, v1::SceneStatus& status) {
   step::add(finding, status);
 }
 
-/// Returns in words how far a step fell short whose solve missed an energy [J]; empty if that is not known.
-std::string shortfall(const model::Model& m, double missing_energy_j) {
+/// Returns how far a step fell short whose solve missed an energy [J]; zero if that is not known.
+solver::StepError shortfall(const model::Model& m, double missing_energy_j) {
   double mass_kg = 0;
   for (std::size_t row = 0; row < m.layout.row_count; ++row) {
     const double weight = m.inertia[4 * row + 3];
     if (m.rest[4 * row + 3] != 0) mass_kg += weight * weight * m.inertia[4 * row];
   }
-  const solver::StepError error = solver::step_error(missing_energy_j, mass_kg, m.dt_s);
+  return solver::step_error(missing_energy_j, mass_kg, m.dt_s);
+}
+
+std::string in_words(const solver::StepError& error) {
   if (!(error.displacement_m > 0)) return {};
   return fmt::format(", by about {:.1g} mm in a step, and forces on bodies are off by up to about {:.1g} N",
                      error.displacement_m * 1e3, error.force_n);
@@ -188,7 +191,15 @@ void Findings::add_solve(const model::Model& m, v1::SceneStatus& status) const {
   } else {
     // Newton's method makes up for a linear solve that ends early. Without it, the step keeps the error.
     const std::uint32_t solves = solves_.load(kRelaxed);
-    const auto above = static_cast<std::uint32_t>(std::popcount(solves_above_.load(kRelaxed)));
+    const std::uint64_t all_above = solves_above_.load(kRelaxed);
+    const auto above = static_cast<std::uint32_t>(std::popcount(all_above));
+    const bool last_above = (all_above & 1) != 0;
+    solver::StepError error;
+    if (last_above) error = shortfall(m, missing_energy_j_.load(kRelaxed));
+    if (solves > 0 && m.cg_tolerance > 0 && (!last_above || error.displacement_m > 0)) {
+      status.set_solve_displacement_error_m(error.displacement_m);
+      status.set_solve_force_error_n(error.force_n);
+    }
     if (above > thresholds::kMax * solves) {
       add({.code = FindingCode::kSolveAboveTolerance,
            .value = static_cast<double>(above) / solves,
@@ -197,7 +208,7 @@ void Findings::add_solve(const model::Model& m, v1::SceneStatus& status) const {
            .message = fmt::format("{} of the last {} solves ended above cg_tolerance = {:.2g}, the last one after {} "
                                   "iterations with a residual of {:.2g}: tissue moves less than it should{}",
                                   above, solves, m.cg_tolerance, status.cg_iterations(), status.cg_relative_residual(),
-                                  shortfall(m, missing_energy_j_.load(kRelaxed))),
+                                  in_words(shortfall(m, missing_energy_j_.load(kRelaxed)))),
            .remedy = "give it more cg_max_iterations, or take smaller steps"},
           m, status);
     }

@@ -130,6 +130,24 @@ TEST_P(FindingsOf, ASolveThatEndsAboveItsToleranceSaysHowFarItFellShort) {
   EXPECT_LT(error_mm, worst_mm * 4);
   EXPECT_GT(force_n, 0);
   EXPECT_LT(force_n, 10 * 0.0008 * 9.81) << "ten times its weight";
+  EXPECT_NEAR(1e3 * status.solve_displacement_error_m(), error_mm, 0.1 * error_mm) << "the message rounds";
+  EXPECT_NEAR(status.solve_force_error_n(), force_n, 0.1 * force_n);
+  // A solve that reached its tolerance, and one without a tolerance.
+  Findings of_exact(exact->shared_model(), budget);
+  of_exact.take_step(*exact);
+  v1::SceneStatus good;
+  of_exact.add_to(good);
+  EXPECT_TRUE(good.has_solve_displacement_error_m());
+  EXPECT_EQ(good.solve_displacement_error_m(), 0);
+  EXPECT_EQ(good.solve_force_error_n(), 0);
+  scene.mutable_solver()->set_cg_tolerance(0);
+  const auto without = start(scene);
+  Findings of_without(without->shared_model(), budget);
+  EXPECT_TRUE(without->step(false));
+  of_without.take_step(*without);
+  v1::SceneStatus unknown;
+  of_without.add_to(unknown);
+  EXPECT_FALSE(unknown.has_solve_displacement_error_m());
 }
 
 TEST_P(FindingsOf, HalfOfTheSolvesMayEndAboveTheirTolerance) {
