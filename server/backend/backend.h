@@ -195,7 +195,8 @@ class SceneState {
   std::atomic<bool> stopped_{false};
 };
 
-/// A kind of device.
+/// A device. Any thread may call it and the states that it creates: each call makes the device current itself, and a
+/// thread may go from one device to another.
 class Backend {
  public:
   virtual ~Backend() = default;
@@ -211,8 +212,9 @@ class Backend {
 };
 
 std::unique_ptr<Backend> make_cpu_backend(std::uint32_t default_threads);
-/// scenes: how many must step at the same time. Each gets its share of the multiprocessors. Fails with kUnavailable and
-/// the reason if there is no device, or no CUDA in this build.
-Result<std::unique_ptr<Backend>> make_cuda_backend(std::uint32_t scenes = 1);
+/// scenes: how many must step at the same time. Each gets its share of the multiprocessors.
+/// device: number of the GPU in the order of CUDA.
+/// Fails with kUnavailable and the reason if there is no such device, or no CUDA in this build.
+Result<std::unique_ptr<Backend>> make_cuda_backend(std::uint32_t scenes = 1, std::uint32_t device = 0);
 
 }  // namespace tensormass::backend

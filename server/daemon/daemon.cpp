@@ -19,6 +19,12 @@ namespace {
 
 constexpr double kMib = 1 << 20;
 
+/// Ends of the log's line about a lost device.
+constexpr std::string_view kGoesOn =
+    "scenes on other GPUs go on; load those of this one again, and they get another; the daemon ends for another one "
+    "to start when no scene is left on a GPU that works";
+constexpr std::string_view kEnds = "the daemon ends, for another one to start";
+
 /// The lines of zenoh, which clients can cause at any rate.
 class ZenohLog {
  public:
@@ -44,7 +50,8 @@ class ZenohLog {
 Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config, const Process& process) {
   if (std::string refusal = check_keys(config); !refusal.empty()) return invalid(std::move(refusal));
   TM_ASSIGN_OR_RETURN(backend, world::describe_backend(config.backend));
-  std::unique_ptr<Daemon> daemon(new Daemon(config, backend));
+  const auto placement = backend.backend == "cuda" ? world::Placement::of_this_machine() : nullptr;
+  std::unique_ptr<Daemon> daemon(new Daemon(config, backend, placement));
   TM_RETURN_IF_ERROR(daemon->open(config, process));
   const v1::GetVersionResponse& identity = daemon->identity();
   if (config.backend == world::BackendChoice::kAuto && backend.backend == "cpu") {
@@ -54,6 +61,7 @@ Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config, const Proces
                         {"server", identity.server()},
                         {"backend", identity.backend()},
                         {"device", identity.device()},
+                        {"devices", identity.device_count()},
                         {"control", daemon->control_endpoint()},
                         {"zeromq_publish", identity.zeromq_publish_endpoint()},
                         {"zeromq_pose", identity.zeromq_pose_endpoint()},
@@ -64,8 +72,12 @@ Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config, const Proces
   return daemon;
 }
 
-Daemon::Daemon(const Config& config, const world::BackendDescription& backend)
-    : registry_({.backend = config.backend, .cpu_threads = config.cpu_threads, .gpu_scenes = config.gpu_scenes},
+Daemon::Daemon(const Config& config, const world::BackendDescription& backend,
+               const std::shared_ptr<world::Placement>& placement)
+    : registry_({.backend = config.backend,
+                 .cpu_threads = config.cpu_threads,
+                 .gpu_scenes = config.gpu_scenes,
+                 .placement = placement},
                 [this] { wake_up_.signal(); },
                 {.scene_bytes = static_cast<double>(config.max_scene_mib) * kMib,
                  .all_bytes = static_cast<double>(config.max_memory_mib) * kMib,
@@ -75,6 +87,7 @@ Daemon::Daemon(const Config& config, const world::BackendDescription& backend)
   identity_.set_server(config.server_name);
   identity_.set_backend(backend.backend);
   identity_.set_device(backend.device);
+  if (placement != nullptr) identity_.set_device_count(static_cast<std::uint32_t>(placement->device_count()));
   identity_.set_backend_reason(backend.reason);
 }
 
@@ -143,13 +156,14 @@ Result<void> Daemon::open(const Config& config, const Process& process) {
                                   .publisher_turns = [this] { return publisher_->turns(limits::kTurnTime); },
                                   .on_live = [this](bool live) { set_health("live", live); },
                                   .on_device_lost =
-                                      [end = process.on_device_lost](const std::string& scene) {
+                                      [](const world::Runner& scene, bool goes_on) {
                                         log::error("the process lost its device",
-                                                   {{"scene", scene},
-                                                    {"reason", "after this CUDA error no call of CUDA works"},
-                                                    {"then", "the daemon ends, for another one to start"}});
-                                        end();
-                                      }});
+                                                   {{"scene", scene.name()},
+                                                    {"device", scene.device()},
+                                                    {"reason", "after this CUDA error no call of CUDA works there"},
+                                                    {"then", goes_on ? kGoesOn : kEnds}});
+                                      },
+                                  .on_no_device = process.on_device_lost});
   return {};
 }
 

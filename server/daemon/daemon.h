@@ -21,6 +21,7 @@
 #include "daemon/vitals.h"
 #include "metrics/metrics_server.h"
 #include "tensormass/v1/control.pb.h"
+#include "world/placement.h"
 
 namespace tensormass::daemon {
 
@@ -51,7 +52,8 @@ class Daemon {
     const ServiceManager& manager;
     /// Returns true if a signal to end waits. Scenes that come back take long.
     std::function<bool()> stop_asked;
-    /// Called once, on a thread of the daemon, if the process lost its device: it must end, and another one start.
+    /// Called once, on a thread of the daemon, if the process lost its device and no scene is left on another one: it
+    /// must end, and another one start.
     std::function<void()> on_device_lost;
   };
 
@@ -78,7 +80,9 @@ class Daemon {
   std::string_view metrics_endpoint() const { return metrics_ ? metrics_->endpoint() : std::string_view(); }
 
  private:
-  Daemon(const Config& config, const world::BackendDescription& backend);
+  /// placement: nullptr on the CPU
+  Daemon(const Config& config, const world::BackendDescription& backend,
+         const std::shared_ptr<world::Placement>& placement);
   Result<void> open(const Config& config, const Process& process);
   /// Says "live" or "ready" on both health services.
   void set_health(const std::string& name, bool serving);

@@ -50,6 +50,10 @@ constexpr SceneFamily kSceneFamilies[] = {
      [](Exposition& out, const SceneMetrics& s) {
        out.sample({{"scene", s.status.scene()}, {"backend", s.status.backend()}}, s.bytes);
      }},
+    {{"tensormass_scene_device", Type::kGauge, "Number of the GPU on which the scene steps; 0 on the CPU."},
+     [](Exposition& out, const SceneMetrics& s) {
+       out.sample({{"scene", s.status.scene()}}, std::uint64_t{s.status.device()});
+     }},
     {{"tensormass_scene_target_rate_hertz", Type::kGauge, "Steps a second that the scene asks for; 0 in lockstep."},
      [](Exposition& out, const SceneMetrics& s) {
        out.sample({{"scene", s.status.scene()}}, s.status.target_rate_hz());
@@ -174,7 +178,7 @@ std::string to_text(const DaemonMetrics& metrics) {
   out.sample({}, metrics.memory_bytes);
   out.begin({"tensormass_memory_limit_bytes", Type::kGauge, "Memory above which loads are refused."});
   out.sample({}, metrics.memory_limit_bytes);
-  out.begin({"tensormass_device_memory_bytes", Type::kGauge, "Buffers of all scenes on the GPU."});
+  out.begin({"tensormass_device_memory_bytes", Type::kGauge, "Buffers of all scenes on the GPUs."});
   out.sample({{"device", identity.device()}}, device_bytes(metrics));
   out.begin({"tensormass_malformed_messages_total", Type::kCounter, "Messages that could not be read."});
   out.sample({}, metrics.malformed_messages);

@@ -27,14 +27,14 @@ Clock::time_point expiry_of(const ReceivedPose& pose) {
 }
 }  // namespace
 
-Loop::Loop(std::string backend, std::unique_ptr<World> world, GenerationPointer generation)
+Loop::Loop(SceneDevice device, std::unique_ptr<World> world, GenerationPointer generation)
     : world_(std::move(world)),
       generation_(std::move(generation)),
       budget_(model()),
       outputs_(*world_, counts_),
       surface_(model()),
       told_m3_(world_->removed().size()),
-      status_(world_->shared_model(), std::move(backend), budget_, generation_, poses_, outputs_, counts_),
+      status_(world_->shared_model(), std::move(device), budget_, generation_, poses_, outputs_, counts_),
       clock_(model().rate_hz),
       hand_(clock_.period()),
       inboxes_(generation_.get()->inboxes),

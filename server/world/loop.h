@@ -70,8 +70,8 @@ class Loop {
     std::shared_ptr<const model::Model> edited;  ///< the model as it is now, in a scene with editing; else nullptr
   };
 
-  /// Starts the thread. backend: its name, for the status.
-  Loop(std::string backend, std::unique_ptr<World> world, GenerationPointer generation);
+  /// Starts the thread. device: for the status
+  Loop(SceneDevice device, std::unique_ptr<World> world, GenerationPointer generation);
   /// Ends the thread after the step at hand. No `call` may be under way.
   ~Loop();
   Loop(const Loop&) = delete;

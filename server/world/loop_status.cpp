@@ -22,11 +22,11 @@ void fill(const DurationCounts& counts, v1::DurationHistogram& out) {
 
 }  // namespace
 
-LoopStatus::LoopStatus(const std::shared_ptr<const model::Model>& model, std::string backend,
+LoopStatus::LoopStatus(const std::shared_ptr<const model::Model>& model, SceneDevice device,
                        const IterationBudget& budget, const Present<Generation>& generation, const PoseCounts& poses,
                        const LoopOutputs& outputs, std::shared_ptr<SceneCounts> counts)
     : settings_(*model),
-      backend_(std::move(backend)),
+      device_(std::move(device)),
       generation_(generation),
       poses_(poses),
       outputs_(outputs),
@@ -115,7 +115,8 @@ v1::SceneStatus LoopStatus::make() const {
   status.set_poses_received(received);
   status.set_poses_rejected(rejected);
   status.set_poses_superseded(superseded);
-  status.set_backend(backend_);
+  status.set_backend(device_.backend);
+  status.set_device(device_.number);
   status.set_removed_mass_kg(removed_mass_kg_.load(std::memory_order_relaxed));
   status.set_removed_volume_m3(removed_volume_m3_.load(std::memory_order_relaxed));
   status.set_cut_area_m2(cut_area_m2_.load(std::memory_order_relaxed));

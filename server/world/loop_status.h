@@ -14,6 +14,7 @@
 #include "world/loop_outputs.h"
 #include "world/pose_inbox.h"
 #include "world/present.h"
+#include "world/runner_options.h"
 #include "world/scene_counts.h"
 #include "world/step_clock.h"
 
@@ -30,8 +31,8 @@ class LoopStatus {
  public:
   using State = v1::SceneStatus::State;
 
-  /// backend: its name, as in SceneStatus. All references outlive the status.
-  LoopStatus(const std::shared_ptr<const model::Model>& model, std::string backend, const IterationBudget& budget,
+  /// All references outlive the status.
+  LoopStatus(const std::shared_ptr<const model::Model>& model, SceneDevice device, const IterationBudget& budget,
              const Present<Generation>& generation, const PoseCounts& poses, const LoopOutputs& outputs,
              std::shared_ptr<SceneCounts> counts);
 
@@ -90,7 +91,7 @@ class LoopStatus {
 
  private:
   const model::Settings settings_;
-  const std::string backend_;
+  const SceneDevice device_;
   const Present<Generation>& generation_;  // has the inboxes
   const PoseCounts& poses_;
   const LoopOutputs& outputs_;

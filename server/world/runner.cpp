@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 
 #include "core/limits.h"
+#include "core/log.h"
 #include "world/fields.h"
 #include "world/hashes.h"
 #include "world/runner_impl.h"
@@ -26,10 +27,13 @@ std::string write_snapshot(const Generation& generation, const LoopCopy& copy) {
 
 Result<std::unique_ptr<Runner>> Runner::start(const v1::Scene& scene, const RunnerOptions& options,
                                               const model::Progress& progress) {
-  TM_ASSIGN_OR_RETURN(compiled, compile_scene(scene, options, progress));
+  TM_ASSIGN_OR_RETURN(compiled, compile_and_place(scene, options, progress));
   TM_RETURN_IF_ERROR(progress.begin(model::LoadPart::kBuffers));
   TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
-  auto source = std::make_unique<const Source>(Source{scene, options});
+  if (compiled.place && options.placement->device_count() > 1) {
+    log::info("a scene has its GPU", {{"scene", scene.name()}, {"device", compiled.options.device}});
+  }
+  auto source = std::make_unique<const Source>(Source{scene, compiled.options});
   return std::unique_ptr<Runner>(
       new Runner(std::make_unique<Impl>(std::move(compiled), std::move(world), std::move(source))));
 }
@@ -41,7 +45,7 @@ Result<std::unique_ptr<Runner>> Runner::start(CompiledScene compiled) {
 
 Result<v1::SceneReport> Runner::inspect(const v1::Scene& scene, const RunnerOptions& options,
                                         const model::Progress& progress) {
-  TM_ASSIGN_OR_RETURN(compiled, compile_scene(scene, options, progress));
+  TM_ASSIGN_OR_RETURN(compiled, compile_and_preview(scene, options, progress));
   return std::move(compiled.report);
 }
 
@@ -113,8 +117,8 @@ Result<StartedRecording> Runner::record(const RecordingOptions& options) {
   const model::Model& model = *generation.model;
   StartedRecording out{started.recording, {}};
   out.start.set_scene(model.name);
-  out.start.set_backend(impl_->backend.backend);
-  out.start.set_device(impl_->backend.device);
+  out.start.set_backend(impl_->device.backend);
+  out.start.set_device(impl_->device.name);
   out.start.set_scene_hash(generation.scene_hash);
   out.start.set_layout_hash(hash_of_layout(model));
   out.start.set_patch_count(model.layout.patch_count);
@@ -198,6 +202,7 @@ Result<KeptState> Runner::keep() {
   return KeptState{kept.generation->adjustments, kept.paused, write_snapshot(*kept.generation, kept.state), kept.held};
 }
 bool Runner::turns(std::chrono::nanoseconds late) const { return impl_->loop->turns(Clock::now(), late); }
+std::uint32_t Runner::device() const { return impl_->device.number; }
 bool Runner::device_lost() const { return impl_->loop->status().device_lost(); }
 
 const v1::Scene* Runner::source() const { return impl_->source ? &impl_->source->scene : nullptr; }

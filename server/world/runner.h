@@ -125,7 +125,9 @@ class Runner {
   Result<KeptState> keep();
   /// Returns false if the loop hangs: its turn was due at least `late` ago.
   bool turns(std::chrono::nanoseconds late) const;
-  /// True after a failure with which this process lost its device (device_loss.h).
+  /// Number of the GPU on which the scene steps; 0 on the CPU.
+  std::uint32_t device() const;
+  /// True after a failure with which this process lost that device (device_loss.h).
   bool device_lost() const;
   /// The message that the scene was loaded from; nullptr if it was compiled already.
   const v1::Scene* source() const;

@@ -34,7 +34,8 @@ struct Source {
 struct Runner::Impl {
   Impl(CompiledScene compiled, std::unique_ptr<World> world, std::unique_ptr<const Source> from)
       : report(std::move(compiled.report)),
-        backend{compiled.backend->name(), compiled.backend->device(), {}},
+        device{compiled.backend->name(), compiled.backend->device(), report.device()},
+        max_patches(compiled.max_patches),
         source(std::move(from)),
         name(world->model().name) {
     auto topology = std::make_shared<const v1::Topology>(make_topology(world->model(), new_topology_version()));
@@ -48,8 +49,27 @@ struct Runner::Impl {
                                                       {},
                                                       new_inboxes(world->model().tools.size()),
                                                       std::move(topology)});
-    loop = std::make_unique<Loop>(backend.backend, std::move(world), std::move(generation));
+    loop = std::make_unique<Loop>(device, std::move(world), std::move(generation));
+    if (compiled.place) {
+      place = std::move(compiled.place);
+      place->follow([this] { return use_of_device(); });
+    }
     if (has_blades() && !loop->generation()->model->lockstep) changer.start(*this);
+  }
+
+  ~Impl() {
+    if (place && loop->status().device_lost()) place->lose();
+  }
+
+  /// What the scene takes of its device: measured, or estimated before the first step. A scene in lockstep may take
+  /// all of it whenever it is asked to step.
+  Placement::Use use_of_device() const {
+    const GenerationPointer present = loop->generation();
+    const model::Model& model = *present->model;
+    const double measured_s = loop->status().statistics()->percentiles().p50_s;
+    const double step_s = measured_s > 0 ? measured_s : 1 / report.expected_rate_hz();
+    return {share_of_device(model.layout.patch_count, max_patches, model.lockstep ? 0 : model.rate_hz, step_s),
+            loop->status().device_lost()};
   }
 
   /// Runs a command on the loop's thread and waits for its result.
@@ -136,16 +156,18 @@ struct Runner::Impl {
   };
 
   const v1::SceneReport report;
-  const BackendDescription backend;
+  const SceneDevice device;
+  const std::uint32_t max_patches;             // as of CompiledScene
   const std::unique_ptr<const Source> source;  // nullptr: the scene cannot be adjusted
   const std::string name;
 
-  model::SpareModel spare;         // for the next change of values
-  std::mutex adjusting;            // one change of values or cuts at a time
-  std::optional<Coming> coming;    // guarded by `adjusting`
-  std::atomic<bool> comes{false};  // `coming` has a value
-  std::unique_ptr<Loop> loop;      // its thread ends before all of the above
-  Changer changer;                 // last: uses the loop
+  model::SpareModel spare;                  // for the next change of values
+  std::mutex adjusting;                     // one change of values or cuts at a time
+  std::optional<Coming> coming;             // guarded by `adjusting`
+  std::atomic<bool> comes{false};           // `coming` has a value
+  std::unique_ptr<Loop> loop;               // its thread ends before all of the above
+  std::unique_ptr<Placement::Place> place;  // nullptr: nobody places it. Ends before the loop, which it asks
+  Changer changer;                          // last: uses the loop
 };
 
 }  // namespace tensormass::world

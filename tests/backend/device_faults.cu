@@ -40,6 +40,8 @@ std::vector<std::string> answers_to(DeviceFault fault) {
   return answers;
 }
 
+std::string make_current(int device) { return cudaGetErrorString(cudaSetDevice(device)); }
+
 std::string answer_to_allocation(std::size_t bytes) {
   void* place = nullptr;
   const cudaError_t answer = cudaMalloc(&place, bytes);

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 #include <fstream>
+#include <map>
 #include <memory>
 #include <span>
 #include <string>
@@ -14,11 +15,13 @@
 #include <CLI/CLI.hpp>
 
 #include "backend/backend.h"
+#include "backend/devices.h"
 #include "bench/floor.h"
 #include "model/compile.h"
 #include "step/plan.h"
 #include "support/laws.h"
 #include "support/scenes.h"
+#include "world/placement.h"
 #include "world/runner.h"
 #include "world/world.h"
 
@@ -327,11 +330,16 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
   // Otherwise each scene that ends competes for the driver's lock with all that still step, which takes minutes if the
   // device is behind.
   for (const auto& runner : runners) TM_RETURN_IF_ERROR(runner->pause());
+  std::map<std::uint32_t, std::uint32_t> scenes_of_device;
+  for (const auto& runner : runners) ++scenes_of_device[runner->device()];
+  std::string placed;
+  for (const auto& [device, scenes] : scenes_of_device)
+    placed += fmt::format("{}{}", placed.empty() ? "" : ",", scenes);
   return fmt::format(
-      R"({{"case":"real time: {}","scenes":{},"backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"dt_ms":{:.4f},)"
+      R"({{"case":"real time: {}","scenes":{},"scenes_of_device":[{}],"backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"dt_ms":{:.4f},)"
       R"("target_rate_hz":{:.1f},"reached_rate_hz":{:.1f},"steps":{},"missed_deadlines":{},"missed_while_loading":{},)"
       R"("step_ms_median":{:.4f},"step_ms_p99":{:.4f},"step_ms_max":{:.4f},"cg_iterations_last":{},"largest_force_n":{:.3f},"ready_s":{:.3f},"fault":"{}"}})",
-      scene.name(), runners.size(), description.backend, description.device, commit, command,
+      scene.name(), runners.size(), placed, description.backend, description.device, commit, command,
       runners.front()->report().bodies(0).element_count(), dt_s * 1e3, status.target_rate_hz(),
       status.reached_rate_hz(), status.step() - before.step(), status.missed_deadlines() - before.missed_deadlines(),
       before.missed_deadlines(), status.step_time_p50_s() * 1e3, status.step_time_p99_s() * 1e3,
@@ -391,6 +399,9 @@ int main(int argc, char** argv) {
       ->excludes(family_flag);
   app.add_option("--stations", real_time.copies,
                  "instead of --scene: concurrent scenes of 20,520 tetrahedra under a probe, 1 kHz");
+  std::uint32_t devices = 1;
+  app.add_option("--devices", devices, "with --stations: GPUs over which the scenes are placed")
+      ->check(CLI::Range(1, 64));
   app.add_option("--rate", real_time.rate_hz, "with --scene: steps a second, dt = 1 / rate");
   app.add_option("--seconds", real_time.seconds, "with --scene or --stations")->check(CLI::Range(0.1, 3600.0));
   app.add_flag("--together", real_time.together, "with --stations: no scene steps before all are loaded");
@@ -424,7 +435,17 @@ int main(int argc, char** argv) {
   if (real_time.copies > 0) real_time.press = kStationPress;
   if ((!real_time.scene_file.empty() && !unpaced) || real_time.copies > 0) {
     const auto choice = backend_name == "cuda" ? world::BackendChoice::kCuda : world::BackendChoice::kCpu;
-    const auto line = run_in_real_time(real_time, {choice, threads, std::max(real_time.copies, 1u)}, commit, command);
+    world::RunnerOptions options{choice, threads, std::max(1u, (real_time.copies + devices - 1) / devices)};
+    if (devices > 1) {
+      std::vector<std::uint32_t> numbers = backend::list_cuda_devices();
+      if (numbers.size() < devices) {
+        std::fprintf(stderr, "--devices %u: there are %zu GPUs of a kind\n", devices, numbers.size());
+        return 77;
+      }
+      numbers.resize(devices);
+      options.placement = std::make_shared<world::Placement>(std::move(numbers));
+    }
+    const auto line = run_in_real_time(real_time, options, commit, command);
     if (!line) {
       std::fprintf(stderr, "%s\n", line.error().message.c_str());
       return line.error().code == ErrorCode::kUnavailable ? 77 : 1;

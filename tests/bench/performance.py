@@ -116,7 +116,7 @@ def concurrent() -> dict[int, list[float]]:
     """By number of concurrent scenes, the kept shares of the runs that count deadlines missed while loading apart."""
     found: dict[int, list[float]] = {}
     for row in rows("nvidia-h200-stations.jsonl"):
-        if "missed_while_loading" in row:
+        if "missed_while_loading" in row and len(row.get("scenes_of_device", [1])) == 1:
             found.setdefault(row["scenes"], []).append(kept_shares(row))
     return found
 

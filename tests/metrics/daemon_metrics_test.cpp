@@ -26,6 +26,7 @@ world::SceneMetrics invented_scene() {
   scene.status.set_scene("liver");
   scene.status.set_state(v1::SceneStatus::STATE_RUNNING);
   scene.status.set_backend("cuda");
+  scene.status.set_device(1);
   scene.status.set_target_rate_hz(1000);
   scene.status.set_reached_rate_hz(999.5);
   scene.status.set_frames_published(60);

@@ -24,6 +24,13 @@ FAULTS = {"illegal address": b"0", "misaligned address": b"1", "assert": b"2", "
 """What tests/backend/lose_device.cpp reads."""
 
 
+@pytest.fixture(autouse=True)
+def one_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What fails or is full is the only GPU of a daemon, also on a machine with several."""
+    first = os.environ.get("CUDA_VISIBLE_DEVICES", "0").split(",")[0]
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", first)
+
+
 @pytest.fixture
 def trainer(tmp_path: Path) -> Iterator[Trainer]:
     """A daemon on a GPU with a state folder."""

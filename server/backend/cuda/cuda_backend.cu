@@ -1,20 +1,26 @@
 #include <algorithm>
 #include <memory>
 #include <string>
+#include <string_view>
+#include <tuple>
+#include <vector>
 
 #include <cuda_runtime.h>
 
 #include "backend/backend.h"
-#include "backend/cuda/state.cuh"
+#include "backend/cuda/current_device.cuh"
+#include "backend/cuda/device_state.cuh"
+#include "backend/devices.h"
 
-/// The CUDA device as a backend: how it cuts meshes, how fast it is, and its scenes (state.cuh).
+/// A CUDA device as a backend: how it cuts meshes, how fast it is, and its scenes (state.cuh).
 namespace tensormass::backend {
 
 namespace {
 
 class CudaBackend final : public Backend {
  public:
-  CudaBackend(const cudaDeviceProp& properties, std::uint32_t scenes) : properties_(properties), scenes_(scenes) {}
+  CudaBackend(int device, const cudaDeviceProp& properties, std::uint32_t scenes)
+      : device_(device), properties_(properties), scenes_(scenes) {}
 
   std::string name() const override { return "cuda"; }
   std::string device() const override { return properties_.name; }
@@ -31,7 +37,8 @@ class CudaBackend final : public Backend {
             max_nodes,
             cuda::kMaxResidentRows,
             cuda::most_kept_rows(properties_),
-            [](const matrix::Layout& layout) {
+            [device = device_](const matrix::Layout& layout) {
+              cuda::use_device_if_possible(device);
               return cuda::plan_solve(layout, false).resident ? model::SolveKind::kResident
                                                               : model::SolveKind::kStreamed;
             }};
@@ -42,6 +49,7 @@ class CudaBackend final : public Backend {
   double measure_bandwidth_bytes_per_s() const override {
     constexpr std::size_t kBytes = std::size_t{1} << 30;
     constexpr int kCopies = 20;
+    cuda::use_device_if_possible(device_);
     void *from = nullptr, *to = nullptr;
     cudaEvent_t begin = nullptr, end = nullptr;
     float ms = 0;
@@ -66,26 +74,23 @@ class CudaBackend final : public Backend {
   Result<std::unique_ptr<SceneState>> create(const model::Model& model) const override try {
     std::unique_ptr<SceneState> state;
     if (model.double_precision) {
-      state = std::make_unique<cuda::CudaState<double>>(model, share(), scenes_ > 1);
+      state = std::make_unique<cuda::DeviceState<double>>(device_, model, share(), scenes_ > 1);
     } else {
-      state = std::make_unique<cuda::CudaState<float>>(model, share(), scenes_ > 1);
+      state = std::make_unique<cuda::DeviceState<float>>(device_, model, share(), scenes_ > 1);
     }
     return state;
   } catch (const cuda::CudaFailure& failure) {
     cudaGetLastError();
-    return fail(ErrorCode::kResourceExhausted, std::string("CUDA: ") + failure.what() + free_memory());
+    return fail(ErrorCode::kResourceExhausted, std::string("CUDA: ") + failure.what() + free_memory(device_));
   }
 
  private:
-  /// The device's free memory in words, and a remedy if that is too little; empty if the device does not tell.
-  static std::string free_memory() {
-    constexpr std::size_t kMiB = std::size_t{1} << 20;
-    std::size_t free = 0, total = 0;
-    if (cudaMemGetInfo(&free, &total) != cudaSuccess) {
-      cudaGetLastError();
-      return {};
-    }
-    return " (" + std::to_string(free / kMiB) + " of " + std::to_string(total / kMiB) +
+  /// The free memory of a device in words, and a remedy if that is too little; empty if the device does not tell.
+  static std::string free_memory(int device) {
+    constexpr std::uint64_t kMiB = std::uint64_t{1} << 20;
+    const auto memory = read_cuda_memory(static_cast<std::uint32_t>(device));
+    if (!memory) return {};
+    return " (" + std::to_string(memory->free / kMiB) + " of " + std::to_string(memory->total / kMiB) +
            " MiB of device memory are free; unload a scene, or load one with fewer elements)";
   }
   std::uint32_t processors() const { return static_cast<std::uint32_t>(properties_.multiProcessorCount); }
@@ -96,29 +101,86 @@ class CudaBackend final : public Backend {
     share.multiProcessorCount = static_cast<int>(std::max(1u, processors() / scenes_));
     return share;
   }
+  const int device_;
   const cudaDeviceProp properties_;
   const std::uint32_t scenes_;
 };
 
+/// Returns the number of devices; 0 with the reason if there is none.
+int count_devices(cudaError_t& status) {
+  int count = 0;
+  status = cudaGetDeviceCount(&count);
+  if (status == cudaSuccess) return count;
+  cudaGetLastError();
+  return 0;
+}
+
+/// Whether a scene is compiled alike for both, and gives the same bits.
+bool are_of_a_kind(const cudaDeviceProp& a, const cudaDeviceProp& b) {
+  const auto kind = [](const cudaDeviceProp& of) {
+    return std::tuple(std::string_view(of.name), of.major, of.minor, of.multiProcessorCount, of.sharedMemPerBlockOptin,
+                      of.sharedMemPerMultiprocessor, of.reservedSharedMemPerBlock);
+  };
+  return kind(a) == kind(b);
+}
+
 }  // namespace
 
-Result<std::unique_ptr<Backend>> make_cuda_backend(std::uint32_t scenes) {
-  int count = 0;
-  if (const cudaError_t status = cudaGetDeviceCount(&count); status != cudaSuccess || count == 0) {
+std::vector<std::uint32_t> list_cuda_devices() {
+  std::vector<std::uint32_t> devices;
+  cudaError_t status{};
+  cudaDeviceProp first{}, other{};
+  for (int i = 0, count = count_devices(status); i < count; ++i) {
+    if (cudaGetDeviceProperties(i == 0 ? &first : &other, i) != cudaSuccess) {
+      cudaGetLastError();
+      if (i == 0) return {};
+      continue;
+    }
+    if (i == 0 || are_of_a_kind(first, other)) devices.push_back(static_cast<std::uint32_t>(i));
+  }
+  return devices;
+}
+
+Result<DeviceMemory> read_cuda_memory(std::uint32_t device) {
+  std::size_t free = 0, total = 0;
+  cuda::use_device_if_possible(static_cast<int>(device));
+  if (cuda::current_device() == static_cast<int>(device) && cudaMemGetInfo(&free, &total) == cudaSuccess) {
+    return DeviceMemory{free, total};
+  }
+  const std::string reason = cudaGetErrorString(cudaGetLastError());
+  return fail(ErrorCode::kUnavailable, "GPU " + std::to_string(device) + " does not answer: " + reason);
+}
+
+Result<std::unique_ptr<Backend>> make_cuda_backend(std::uint32_t scenes, std::uint32_t device) {
+  cudaError_t status{};
+  const int count = count_devices(status);
+  if (count == 0) {
     return fail(ErrorCode::kUnavailable, std::string("no CUDA device answers: ") +
                                              (status != cudaSuccess ? cudaGetErrorString(status) : "none"));
   }
+  const int number = static_cast<int>(device);
+  if (number >= count) {
+    return fail(ErrorCode::kUnavailable, "there is no GPU " + std::to_string(device) + ": CUDA sees " +
+                                             std::to_string(count) + ", from number 0");
+  }
   cudaDeviceProp properties{};
   cudaFuncAttributes attributes{};
-  if (cudaGetDeviceProperties(&properties, 0) != cudaSuccess) {
+  cuda::use_device_if_possible(number);
+  if (cudaGetDeviceProperties(&properties, number) != cudaSuccess) {
+    cudaGetLastError();
     return fail(ErrorCode::kUnavailable, "the CUDA device does not tell its properties");
   }
-  if (cudaFuncGetAttributes(&attributes, cuda::streamed_kernels().near) != cudaSuccess) {
+  status = cudaFuncGetAttributes(&attributes, cuda::streamed_kernels().near);
+  if (status != cudaSuccess) {
     cudaGetLastError();
-    return fail(ErrorCode::kUnavailable, std::string("this build has no code for ") + properties.name +
-                                             "; configure with TENSORMASS_CUDA_ARCHITECTURES of its generation");
+    const bool has_no_code = status == cudaErrorNoKernelImageForDevice || status == cudaErrorInvalidDeviceFunction;
+    const std::string name = properties.name;
+    return fail(ErrorCode::kUnavailable, has_no_code
+                                             ? "this build has no code for " + name +
+                                                   "; configure with TENSORMASS_CUDA_ARCHITECTURES of its generation"
+                                             : name + " does not answer: " + cudaGetErrorString(status));
   }
-  return std::unique_ptr<Backend>(std::make_unique<CudaBackend>(properties, std::max(scenes, 1u)));
+  return std::unique_ptr<Backend>(std::make_unique<CudaBackend>(number, properties, std::max(scenes, 1u)));
 }
 
 }  // namespace tensormass::backend

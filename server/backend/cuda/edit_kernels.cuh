@@ -13,6 +13,7 @@
 #include <cuda_runtime.h>
 
 #include "backend/backend.h"
+#include "backend/cuda/current_device.cuh"
 #include "backend/cuda/graph.cuh"
 #include "backend/cuda/memory.cuh"
 #include "backend/edited_state.h"
@@ -76,7 +77,7 @@ class EditMemory {
     cudaMemPoolProps of{};
     of.allocType = cudaMemAllocationTypePinned;
     of.location.type = cudaMemLocationTypeDevice;
-    check(cudaGetDevice(&of.location.id), "memory of edits");
+    of.location.id = device_;
     check(cudaMemPoolCreate(&pool_, &of), "memory of edits");
     std::uint64_t kept_bytes = std::numeric_limits<std::uint64_t>::max();
     if (const cudaError_t set = cudaMemPoolSetAttribute(pool_, cudaMemPoolAttrReleaseThreshold, &kept_bytes);
@@ -87,8 +88,10 @@ class EditMemory {
   }
   EditMemory(const EditMemory&) = delete;
   EditMemory& operator=(const EditMemory&) = delete;
-  ~EditMemory() { cudaMemPoolDestroy(pool_); }
-  cudaStream_t stream() const { return stream_.get(); }
+  ~EditMemory() {
+    use_device_if_possible(device_);
+    cudaMemPoolDestroy(pool_);
+  }
 
   /// Brings entries to the device and waits until they are there. Any thread may call it. Returns memory of the pool,
   /// and writes how many entries it has.
@@ -103,18 +106,26 @@ class EditMemory {
     if (count == 0) return nullptr;
     const std::size_t bytes = count * sizeof(Scattered);
     Scattered* entries = nullptr;
-    check(cudaMallocFromPoolAsync(reinterpret_cast<void**>(&entries), bytes, pool_, stream()), "memory of an edit");
+    check(cudaMallocFromPoolAsync(reinterpret_cast<void**>(&entries), bytes, pool_, stream_.get()),
+          "memory of an edit");
     try {
-      check(cudaMemcpyAsync(entries, staging_->data(), bytes, cudaMemcpyHostToDevice, stream()), "edit");
-      check(cudaStreamSynchronize(stream()), "edit");
+      check(cudaMemcpyAsync(entries, staging_->data(), bytes, cudaMemcpyHostToDevice, stream_.get()), "edit");
+      check(cudaStreamSynchronize(stream_.get()), "edit");
     } catch (...) {
-      cudaFreeAsync(entries, stream());
+      cudaFreeAsync(entries, stream_.get());
       throw;
     }
     return entries;
   }
 
+  /// Gives memory back that `bring` returned.
+  void release(Scattered* entries) const {
+    use_device_if_possible(device_);
+    cudaFreeAsync(entries, stream_.get());
+  }
+
  private:
+  const int device_ = current_device();
   const Stream stream_ = make_stream();
   cudaMemPool_t pool_ = nullptr;
   std::mutex mutex_;
@@ -132,7 +143,7 @@ class DeviceEntries final : public PreparedEdit {
   DeviceEntries& operator=(const DeviceEntries&) = delete;
   /// Needs the kernel of `run` to have ended.
   ~DeviceEntries() override {
-    if (entries_ != nullptr) cudaFreeAsync(entries_, memory_->stream());
+    if (entries_ != nullptr) memory_->release(entries_);
   }
   void run(cudaStream_t stream) const {
     constexpr unsigned kThreads = 256;

@@ -41,12 +41,13 @@
 ///    decides which one is next.
 /// 2. Everything that a step needs is allocated in the constructor.
 /// 3. A scene that shares the device uses only its share of the multiprocessors.
-/// 4. A scene whose solves may get a coarse level (coarse_stages.cuh) has each graph twice. The host decides before
+/// 4. The caller makes the device current (device_state.cuh).
+/// 5. A scene whose solves may get a coarse level (coarse_stages.cuh) has each graph twice. The host decides before
 ///    each step, or before each Newton iteration, which one it launches.
 namespace tensormass::backend::cuda {
 
 template <class Real>
-class CudaState final : public SceneState {
+class CudaState : public SceneState {
  public:
   /// device: the scene's share of the device.
   /// shares: other scenes step on the device at the same time.
