@@ -9,20 +9,29 @@
 
 namespace tensormass::world {
 
-/// When a step may start ahead of its schedule, because the pose that it waits for has come. Used by the loop's thread
-/// only.
+/// The phase of steps beside a hand: when a step may start ahead of its schedule, because the pose that it waits for
+/// has come. Used by the loop's thread only.
 ///
 /// Poses and steps have clocks of their own. A step that starts by its schedule finds a pose that has waited for half a
-/// period of the step, on average. But the last pose that can come before the schedule is known as soon as it is there:
-/// the next one would be too late. The step then starts at once, and its force leaves earlier by the time that the pose
-/// would have waited.
+/// period of the step, on average. So steps are locked to poses: each starts as soon as the pose is there that is
+/// expected to be the last one before its schedule, and its force leaves earlier by the time that the pose would have
+/// waited.
 ///
 ///     poses            |       |       |       |            one each pose_period
 ///     by schedule      .   #####    .  .  #####
 ///     with the hand    #####   .       #####   .            '.': a pose waits, '#': a step
 ///
-/// Steps keep their schedule (StepClock): none starts after its time, and none more than a period before. So
-/// simulated time is ahead of real time by less than a step.
+///     lead of a step   ├── margin ──┼────── pose_period or period ──────┤
+///                      0: schedule                                      reach: from here on a pose starts the step
+///
+/// 1. Leads are between a margin and the margin plus a period. A pose that is expected within the margin before the
+///    schedule might come after it: the step would have started without it, and the pose would wait for that step and
+///    the next. So the pose before it starts the step. Poses that come as irregularly as the margin is wide keep the
+///    lock, at equal rates too.
+/// 2. The schedule itself (StepClock) never moves, so the mean rate, missed deadlines and simulated time stay as they
+///    are. No step starts after its time, and nothing waits for a pose.
+/// 3. No step starts more than 1 + 1 / kMarginParts periods before its time, whatever a client sends. Simulated time is
+///    ahead of real time by that much at most.
 class HandPhase {
  public:
   /// step_period: of the scene's schedule
@@ -42,33 +51,43 @@ class HandPhase {
     }
     last_ = stamp;
   }
+  /// Notes by how much a step starts ahead of its schedule; below zero: after it.
+  void take_lead(Clock::duration lead) { lead_ += (lead - lead_) / kSmoothing; }
 
   /// From when on a pose may start the step that is scheduled for `begin`.
   Clock::time_point listen_from(Clock::time_point begin) const { return begin - reach(); }
   /// Whether a pose that arrived at `arrived` starts the step that is scheduled for `begin`: no step has used it, and
-  /// no later one is expected before.
+  /// the next one is expected within the margin or later.
   bool starts(Clock::time_point arrived, Clock::time_point begin) const {
     return arrived > last_.arrived && begin - arrived <= reach();
   }
+
+  /// Mean period of the last poses; zero: not known.
+  Clock::duration pose_period() const { return pose_period_ == kUnknown ? Clock::duration::zero() : pose_period_; }
+  /// Mean lead of the last steps.
+  Clock::duration lead() const { return lead_; }
+
+  /// Share of the shorter period, of poses or of steps, by which a pose may come early or late.
+  static constexpr Clock::rep kMarginParts = 4;
 
  private:
   static constexpr Clock::duration kUnknown = Clock::duration::max();
   /// A client whose numbers jump by more, or that was silent for so long, has a new rhythm.
   static constexpr std::uint64_t kMaxMissed = 1000;
   static constexpr Clock::duration kForgotten = std::chrono::milliseconds(500);
-  /// A period is the mean of about so many.
+  /// A mean is of about so many.
   static constexpr Clock::rep kSmoothing = 8;
-  /// Part of a period by which a pose may come early or late. A pose that is expected that closely before the schedule
-  /// is not waited for.
-  static constexpr Clock::rep kJitter = 8;
 
-  /// Time before the schedule within which a pose is the last.
+  /// Time before the schedule within which a pose starts the step.
   Clock::duration reach() const {
-    return pose_period_ == kUnknown ? step_period_ : std::min(step_period_, pose_period_ + pose_period_ / kJitter);
+    if (pose_period_ == kUnknown) return step_period_;
+    const Clock::duration period = std::min(step_period_, pose_period_);
+    return period + period / kMarginParts;
   }
 
   Clock::duration step_period_;
   Clock::duration pose_period_ = kUnknown;
+  Clock::duration lead_{};
   PoseStamp last_;  // that of the newest pose that a step used
 };
 

@@ -93,6 +93,7 @@ void Loop::run() {
     run_commands();
     const Clock::time_point begin = Clock::now();
     if (!runs() || !step_due(begin)) continue;
+    take_phase(begin);
     if (!step_once(frame_due())) continue;
     const Clock::time_point end = Clock::now();
     status_.take_time(begin, end, clock_.finish(end));
@@ -133,6 +134,13 @@ std::size_t Loop::leading_tool() const {
 bool Loop::hand_came() const {
   const std::size_t tool = leading_tool();
   return tool != kNone && hand_.starts(inboxes_[tool]->newest_arrival(), clock_.begin());
+}
+
+/// Tells the status where the coming step, which starts `now`, lies beside the hand.
+void Loop::take_phase(Clock::time_point now) {
+  if (leading_tool() == kNone) return status_.take_phase({}, {});
+  hand_.take_lead(clock_.begin() - now);
+  status_.take_phase(hand_.pose_period(), hand_.lead());
 }
 
 bool Loop::step_due(Clock::time_point now) const {

@@ -221,6 +221,7 @@ class Loop {
   std::size_t leading_tool() const;
   /// Says whether a pose has come that starts the coming step ahead of its schedule (hand_phase.h).
   bool hand_came() const;
+  void take_phase(Clock::time_point now);
   bool step_due(Clock::time_point now) const;
   void expire_poses(Clock::time_point now);
   void measure_pose_ages(Clock::time_point now);

@@ -117,6 +117,10 @@ v1::SceneStatus LoopStatus::make() const {
   status.set_poses_superseded(superseded);
   status.set_backend(device_.backend);
   status.set_device(device_.number);
+  if (state_ == v1::SceneStatus::STATE_RUNNING) {
+    status.set_hand_period_s(hand_period_s_.load(std::memory_order_relaxed));
+    status.set_step_lead_s(step_lead_s_.load(std::memory_order_relaxed));
+  }
   status.set_removed_mass_kg(removed_mass_kg_.load(std::memory_order_relaxed));
   status.set_removed_volume_m3(removed_volume_m3_.load(std::memory_order_relaxed));
   status.set_cut_area_m2(cut_area_m2_.load(std::memory_order_relaxed));

@@ -67,6 +67,11 @@ class LoopStatus {
   void take_cut_area(double area_m2) { cut_area_m2_.store(area_m2, std::memory_order_relaxed); }
   /// The process can use its device no more (device_loss.h).
   void take_device_loss() { device_lost_.store(true, std::memory_order_relaxed); }
+  /// period: of the poses of the hand that leads. lead: of the steps; see hand_phase.h. Both are zero without a hand.
+  void take_phase(Clock::duration period, Clock::duration lead) {
+    hand_period_s_.store(std::chrono::duration<double>(period).count(), std::memory_order_relaxed);
+    step_lead_s_.store(std::chrono::duration<double>(lead).count(), std::memory_order_relaxed);
+  }
   /// in_time: the step met its deadline.
   void take_time(Clock::time_point begin, Clock::time_point end, bool in_time) {
     statistics_->add(end - begin, end, in_time);
@@ -101,6 +106,7 @@ class LoopStatus {
   std::atomic<std::uint64_t> step_count_{0}, changes_{0};
   std::atomic<double> simulated_time_s_{0}, removed_mass_kg_{0}, removed_volume_m3_{0};
   std::atomic<double> cut_area_m2_{0}, fracture_energy_j_{0};
+  std::atomic<double> hand_period_s_{0}, step_lead_s_{0};
   const std::shared_ptr<StepStatistics> statistics_;
   const std::shared_ptr<SceneCounts> counts_;
   Findings findings_;
