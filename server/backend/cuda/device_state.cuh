@@ -18,8 +18,9 @@ class OnDevice {
   const int number_;
 };
 
-/// Overrides every method of SceneState that calls CUDA. The others read page-locked memory: visible_positions,
-/// read_blades. The tests of several devices call all of them with another device current.
+/// Overrides every method of SceneState that calls CUDA; a new one needs an override here, too. The others read
+/// page-locked memory: visible_positions, read_blades. The tests of several devices call all of them with another
+/// device current.
 template <class Real>
 class DeviceState final : private OnDevice, public CudaState<Real> {
   using State = CudaState<Real>;
