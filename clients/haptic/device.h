@@ -51,6 +51,8 @@ struct DevicePose {
   Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
   /// Angle between the tool's jaws, zero to kMaxJawAngleRad. Only for a tool that has jaws.
   std::optional<double> jaw_angle_rad = std::nullopt;
+  /// The button or pedal that works the tool's power (Tool.cautery) is down. PowerSwitch decides what follows.
+  bool pressed = false;
 };
 
 /// Everything that a device does to the hand.

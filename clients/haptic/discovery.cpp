@@ -167,6 +167,7 @@ Result<DiscoveredTool> discover_tool(const std::string& control, const std::stri
   found.radius_m = shape->radius_m();
   found.tip_offset_m = to_eigen(shape->tip_offset_m());
   found.has_jaws = feedback->feedback().joint_values_size() == 1;
+  found.has_power = shape->tool().has_cautery();
   found.poses_rejected = status->poses_rejected();
   return found;
 }

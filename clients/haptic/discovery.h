@@ -32,6 +32,8 @@ struct DiscoveredTool {
   Eigen::Vector3d tip_offset_m = Eigen::Vector3d::Zero();
   /// The tool has one joint, which opens its jaws.
   bool has_jaws = false;
+  /// The tool burns tissue (Tool.cautery), so its poses may have a level.
+  bool has_power = false;
   /// The scene's count of rejected poses at the time of the call.
   std::uint64_t poses_rejected = 0;
 };

@@ -62,6 +62,7 @@ void encode_pose(const OutgoingPose& pose, std::string& out) {
   q.set_z(pose.pose.orientation.z());
   if (pose.pose.jaw_angle_rad) message.add_joint_values(*pose.pose.jaw_angle_rad);
   message.set_valid_for_s(kPoseValidForS);
+  message.set_level(pose.level);
   message.SerializeToString(&out);
 }
 

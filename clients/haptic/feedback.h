@@ -31,6 +31,8 @@ struct OutgoingPose {
   DevicePose pose;
   /// Not echoed: nobody else may learn it. Its poses claim the tool.
   std::uint64_t session = 0;
+  /// Share of the power of a tool with Tool.cautery, 0 to 1. The server refuses it for other tools.
+  double level = 0.0;
 };
 
 /// A checked ToolFeedback: every value is finite and the stiffness is symmetric positive semi-definite.

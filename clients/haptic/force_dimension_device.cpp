@@ -7,6 +7,7 @@
 
 #include <spdlog/fmt/fmt.h>
 
+#include "haptic/power_switch.h"
 #include "haptic/vendor_library.h"
 
 namespace tensormass::haptic {
@@ -41,8 +42,10 @@ struct ForceDimensionDevice::Functions {
   int (*set_force)(double x_n, double y_n, double z_n, double a_n_m, double b_n_m, double g_n_m, double grip_n,
                    char id);
   const char* (*last_error)();
+  // Null unless a button works the tool's power.
+  int (*get_button)(int index, char id);
 
-  static Result<std::unique_ptr<Functions>> load(const std::string& path) {
+  static Result<std::unique_ptr<Functions>> load(const std::string& path, bool reads_button) {
     TM_ASSIGN_OR_RETURN(library, VendorLibrary::open(path, kKit, kRemedy));
     auto f = std::make_unique<Functions>();
     TM_RETURN_IF_ERROR(library.find("dhdOpen", f->open));
@@ -56,6 +59,7 @@ struct ForceDimensionDevice::Functions {
     TM_RETURN_IF_ERROR(library.find("dhdGetGripperAngleRad", f->get_gripper_angle));
     TM_RETURN_IF_ERROR(library.find("dhdSetForceAndTorqueAndGripperForce", f->set_force));
     TM_RETURN_IF_ERROR(library.find("dhdErrorGetLastStr", f->last_error));
+    if (reads_button) TM_RETURN_IF_ERROR(library.find("dhdGetButton", f->get_button));
     library.find_optional("dhdHasActiveWrist", f->has_active_wrist);
     library.find_optional("dhdHasActiveGripper", f->has_active_gripper);
     return f;
@@ -79,6 +83,7 @@ Result<void> ForceDimensionDevice::open() {
   close();
   info_ = kForceDimensionLimits;
   TM_RETURN_IF_ERROR(check(options_.workspace, kKit));
+  TM_RETURN_IF_ERROR(check_power_button(options_.power_button, kForceDimensionButtons, kKit));
   int serial = 0;
   const std::string& wanted = options_.serial;
   if (!wanted.empty()) {
@@ -87,7 +92,7 @@ Result<void> ForceDimensionDevice::open() {
       return invalid(fmt::format("{}: the serial number '{}' is not a whole number", kKit, wanted));
     }
   }
-  TM_ASSIGN_OR_RETURN(functions, Functions::load(options_.library));
+  TM_ASSIGN_OR_RETURN(functions, Functions::load(options_.library, options_.power_button > 0));
   functions_ = std::move(functions);
   const int id = wanted.empty() ? functions_->open() : functions_->open_serial(serial);
   if (id < 0) return failed("open a device");
@@ -131,6 +136,11 @@ Result<DevicePose> ForceDimensionDevice::read_device() const {
     if (functions_->get_gripper_angle(&angle_rad, id_) < 0) return failed("read its gripper");
     // The server refuses angles out of its range; an angle that is not a number stays one, and the loop sees it.
     pose.jaw_angle_rad = std::clamp(angle_rad, 0.0, kMaxJawAngleRad);
+  }
+  if (options_.power_button > 0) {
+    const int state = functions_->get_button(options_.power_button - 1, id_);
+    if (state < 0) return failed("read its button");
+    pose.pressed = state == kOn;
   }
   return pose;
 }

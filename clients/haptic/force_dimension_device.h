@@ -41,6 +41,9 @@ inline const DeviceInfo kForceDimensionLimits{"Force Dimension", 8.0, 2000.0, 5.
 /// feels; the sign of its work stays.
 inline constexpr double kForceDimensionGripperLeverM = 0.05;
 
+/// Buttons that the library tells apart (DHD_MAX_BUTTONS).
+inline constexpr int kForceDimensionButtons = 8;
+
 struct ForceDimensionOptions {
   /// The maker's library: a path, or a name that the system's loader finds.
   std::string library = "libdhd.so.3";
@@ -49,6 +52,8 @@ struct ForceDimensionOptions {
   Workspace workspace;
   /// The tool has jaws, which follow the angle of the device's gripper.
   bool moves_jaws = false;
+  /// The button that works the tool's power, 1 to kForceDimensionButtons; 0: none. The maker counts them from 0.
+  int power_button = 0;
 };
 
 class ForceDimensionDevice final : public Device {

@@ -48,9 +48,18 @@ HandScript::HandScript(const HandScriptOptions& options) : options_(options) {
   tangent_v_ = options_.direction.cross(tangent_u_);
 }
 
+double HandScript::phase(double time_s) const {
+  return time_s / options_.period_s - std::floor(time_s / options_.period_s);
+}
+
+bool HandScript::circles(double time_s) const {
+  const double now = phase(time_s);
+  return now >= kPressEnd && now < kCirclesEnd;
+}
+
 HandScript::Target HandScript::at(double time_s) const {
   const double period = options_.period_s;
-  const double phase = time_s / period - std::floor(time_s / period);
+  const double phase = this->phase(time_s);
   const auto segment = [&](double begin, double end, const Eigen::Vector3d& from, const Eigen::Vector3d& to) {
     return minimum_jerk(from, to, (phase - begin) / (end - begin), (end - begin) * period);
   };

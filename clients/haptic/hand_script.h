@@ -38,9 +38,13 @@ class HandScript {
 
   /// Target at `time_s` after the start of the first cycle.
   Target at(double time_s) const;
+  /// True while the hand circles at the bottom of the press.
+  bool circles(double time_s) const;
 
  private:
   explicit HandScript(const HandScriptOptions& options);
+  /// Part of the cycle that is over, 0 to 1.
+  double phase(double time_s) const;
 
   HandScriptOptions options_;
   Eigen::Vector3d bottom_m_;

@@ -27,6 +27,7 @@
 #include <boost/beast/websocket.hpp>
 
 #include "haptic/checks.h"
+#include "haptic/power_switch.h"
 #include "haptic/realtime.h"
 
 namespace tensormass::haptic {
@@ -303,6 +304,7 @@ Result<void> HaplyDevice::open() {
   close();
   TM_ASSIGN_OR_RETURN(address, parse_haply_url(options_.url));
   TM_RETURN_IF_ERROR(check(options_.workspace, "Haply Inverse3"));
+  TM_RETURN_IF_ERROR(check_power_button(options_.choice.power_button, kHaplyButtons, "Haply Inverse3"));
   session_ = std::make_unique<Session>(options_.url, address, options_.choice);
   const Result<HaplyDevices> devices = session_->wait_until_ready();
   const Result<DevicePose> first = devices ? session_->newest() : tl::make_unexpected(devices.error());

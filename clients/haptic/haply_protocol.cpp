@@ -161,6 +161,20 @@ Result<void> read_numbers(const Listed& device, const char* kind, const char* fi
   return {};
 }
 
+/// Reads a button of a grip, 1 to kHaplyButtons: `state.buttons.a`, `b` and `c`, or the only `state.button`.
+Result<bool> read_button(const Listed& grip, int number) {
+  constexpr std::array<const char*, kHaplyButtons> kNames = {"a", "b", "c"};
+  const json* state = member(*grip.device, "state");
+  const json* buttons = state == nullptr ? nullptr : member(*state, "buttons");
+  const json* button = buttons == nullptr ? nullptr : member(*buttons, kNames.at(static_cast<std::size_t>(number - 1)));
+  if (button == nullptr && state != nullptr && number == 1) button = member(*state, "button");
+  if (button != nullptr && button->is_boolean()) return button->get<bool>();
+  return fail(
+      ErrorCode::kUnavailable,
+      fmt::format("Haply VerseGrip {}: its button {} is {}; choose another one with --cautery-button, or {}",
+                  shown_haply_id(grip.id), number, button == nullptr ? "missing" : "neither up nor down", kRestart));
+}
+
 tl::unexpected<Error> gone(const char* kind, const std::string& id) {
   return fail(ErrorCode::kUnavailable, fmt::format("Haply {} {} is gone: the Inverse service no longer lists it; check "
                                                    "its cable, its power and its radio link",
@@ -183,12 +197,19 @@ Result<HaplyDevices> parse_haply_snapshot(std::string_view message, const HaplyC
   TM_ASSIGN_OR_RETURN(grips, grips_in(snapshot));
   TM_ASSIGN_OR_RETURN(grip, choose(grips, choice.grip_id, "VerseGrip", "--grip-id"));
 
+  if (choice.power_button > 0 && grip == nullptr) {
+    return fail(
+        ErrorCode::kNotFound,
+        "no Haply VerseGrip is connected, whose button works the tool's power; connect one and pair it in Haply "
+        "Hub, or pass --cautery-button 0");
+  }
+
   const json* config = member(*inverse->device, "config");
   const bool is_35 = config != nullptr && std::any_of(kSince35.begin(), kSince35.end(), [&](const char* name) {
                        return member(*config, name) != nullptr;
                      });
   return HaplyDevices{inverse->id, grip == nullptr ? "" : grip->id,
-                      is_35 ? HaplyForceField::kVector : HaplyForceField::kValues};
+                      is_35 ? HaplyForceField::kVector : HaplyForceField::kValues, choice.power_button};
 }
 
 Result<DevicePose> parse_haply_state(std::string_view message, const HaplyDevices& devices) {
@@ -208,6 +229,10 @@ Result<DevicePose> parse_haply_state(std::string_view message, const HaplyDevice
   std::array<double, 4> q{};
   TM_RETURN_IF_ERROR(read_numbers(*grip, "VerseGrip", "orientation", {"w", "x", "y", "z"}, q));
   pose.orientation = Eigen::Quaterniond(q[0], q[1], q[2], q[3]);
+  if (devices.power_button > 0) {
+    TM_ASSIGN_OR_RETURN(pressed, read_button(*grip, devices.power_button));
+    pose.pressed = pressed;
+  }
   return pose;
 }
 

@@ -33,7 +33,12 @@ struct HaplyChoice {
   std::string device_id;
   /// Id of a VerseGrip, wired, wireless or custom.
   std::string grip_id;
+  /// The grip's button that works the tool's power, 1 to kHaplyButtons; 0: none.
+  int power_button = 0;
 };
+
+/// Buttons of a wireless VerseGrip: a, b and c. A wired one has the first only.
+inline constexpr int kHaplyButtons = 3;
 
 /// Name of the force vector in `set_cursor_force`.
 enum class HaplyForceField {
@@ -47,14 +52,16 @@ struct HaplyDevices {
   /// Empty: no grip, the orientation is then the identity.
   std::string grip_id;
   HaplyForceField force_field = HaplyForceField::kVector;
+  /// As in HaplyChoice.
+  int power_button = 0;
 };
 
 /// Reads the snapshot and chooses the devices. Fails if the Inverse3 is missing, ambiguous, without power or not
-/// calibrated.
+/// calibrated, or if there is no grip for the button.
 Result<HaplyDevices> parse_haply_snapshot(std::string_view message, const HaplyChoice& choice);
 
 /// Reads the pose, in the device's frame, from a state. Every number of it is finite. Fails if the Inverse3 or the grip
-/// is no longer among the devices.
+/// is no longer among the devices, or if the grip lacks the button.
 Result<DevicePose> parse_haply_state(std::string_view message, const HaplyDevices& devices);
 
 /// The message that sets the force on the hand [N], in the device's frame. `force_n` must be finite.

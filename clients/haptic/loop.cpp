@@ -38,6 +38,8 @@ LoopOptions within(const DeviceInfo& info, LoopOptions options) {
   bind(options.torque.max_damping_n_m_s, stated(info.max_angular_damping_n_m_s));
   bind(options.jaws.max_torque_n_m, stated(info.max_jaw_torque_n_m));
   bind(options.jaws.max_damping_n_m_s, stated(info.max_jaw_damping_n_m_s));
+  // Power that is not a share is none: nothing burns by mistake.
+  if (!(options.power_level >= 0.0 && options.power_level <= 1.0)) options.power_level = 0.0;
   if (options.client_id == 0) options.client_id = random_id();
   if (options.session == 0) options.session = random_id();
   return options;
@@ -54,7 +56,8 @@ Loop::Loop(ForceGuard& guard, Link& link, Clock& clock, const LoopOptions& optio
       renderer_(options_.renderer),
       passivity_(options_.passivity),
       torque_(options_.torque),
-      jaws_(options_.jaws) {
+      jaws_(options_.jaws),
+      power_(options_.power_level) {
   if (guard.info().max_torque_n_m > 0.0) report_.max_torque_n_m = 0.0;
   if (guard.info().max_jaw_torque_n_m > 0.0) report_.max_jaw_torque_n_m = 0.0;
 }
@@ -78,6 +81,7 @@ Result<LoopReport> Loop::run(const std::atomic<bool>& stop) {
     report_.tick_duration.add(clock_.now_ns() - wake_ns);
   }
   guard_.release();
+  take_power_off();
   if (!ok) return tl::make_unexpected(std::move(ok.error()));
   drain(stop);
 
@@ -98,9 +102,7 @@ Result<void> Loop::tick() {
   if (!is_valid(*pose)) return tick_without(*pose);
   invalid_in_a_row_ = 0;
   const std::int64_t now_ns = clock_.now_ns();
-  const std::uint64_t sequence = latency_.last_sent() + 1;
-  latency_.sent(sequence, now_ns);
-  if (!link_.send({sequence, options_.client_id, now_ns, *pose, options_.session})) ++report_.poses_not_taken;
+  send(*pose, power_.level(pose->pressed, ours_));
 
   receive();
 
@@ -110,9 +112,24 @@ Result<void> Loop::tick() {
     report_.stale_episodes += rendered.stale && !was_stale_;
     was_stale_ = rendered.stale;
   }
+  if (rendered.stale) ours_ = false;
   const Wrench wrench = wrench_at(*pose, rendered);
   report(wrench);
   return guard_.write(wrench);
+}
+
+void Loop::send(const DevicePose& pose, double level) {
+  const std::int64_t now_ns = clock_.now_ns();
+  const std::uint64_t sequence = latency_.last_sent() + 1;
+  latency_.sent(sequence, now_ns);
+  report_.poses_with_power += level > 0.0;
+  last_level_ = level;
+  if (!link_.send({sequence, options_.client_id, now_ns, pose, options_.session, level})) ++report_.poses_not_taken;
+}
+
+void Loop::take_power_off() {
+  power_.lock();
+  if (last_level_ > 0.0 && last_pose_) send(*last_pose_, 0.0);
 }
 
 Wrench Loop::wrench_at(const DevicePose& pose, const ForceRenderer::Output& rendered) {
@@ -143,6 +160,7 @@ void Loop::report(const Wrench& wrench) {
 
 Result<void> Loop::tick_without(const DevicePose& invalid) {
   ++report_.poses_invalid;
+  take_power_off();
   if (auto written = guard_.write(Wrench{}); !written) return written;
   // Take feedback all the same: it is timed on arrival and renews the local model for the next valid pose.
   receive();
@@ -158,6 +176,7 @@ void Loop::receive() {
   const std::optional<Feedback> feedback = link_.receive();
   if (!feedback) return;
   if (options_.removed != nullptr) options_.removed->store(feedback->removed, std::memory_order_relaxed);
+  if (feedback->removed) ours_ = false;
   const std::uint64_t last_echoed = latency_.last_echoed();
   // Only an answer to this client's own pose may push its hand: another client's model has another anchor.
   const bool own = feedback->client_id == options_.client_id && feedback->client_time_ns <= feedback->arrival_ns &&
@@ -166,6 +185,7 @@ void Loop::receive() {
     ++report_.feedback_foreign;
     if (!feedback->claimed || feedback->client_id == options_.client_id) return;
     ++report_.feedback_claimed;
+    ours_ = false;
     if (options_.claimed_by != nullptr) options_.claimed_by->store(feedback->client_id, std::memory_order_relaxed);
     return;
   }
@@ -173,6 +193,7 @@ void Loop::receive() {
     report_.feedback_dropped += feedback->step - last_step_ - 1;
   }
   last_step_ = feedback->step;
+  ours_ = !feedback->removed;
   ++report_.feedback_received;
   const std::int64_t age_ns = feedback->arrival_ns - feedback->client_time_ns;
   report_.answered_pose_age.add(age_ns);

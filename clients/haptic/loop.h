@@ -29,6 +29,9 @@
 // 4. Torque and jaws' load take the same way beside the force, small and slow (torque_channel.h), and only to a device
 //    that has them. The torque's local model is that of one point of contact (point_contact.h).
 //
+// 5. The device's button works the power of a tool with Tool.cautery, safely (power_switch.h). The loop's last pose has
+//    no power, whatever ends the loop.
+//
 // Units: m, N, N m, s; ns on the Clock. Threading: run() blocks the thread that calls it. Other threads may only set
 // `stop`. Only a failing device is an error. Without a server the model expires and the force fades to zero.
 
@@ -46,6 +49,7 @@
 #include "haptic/latency_tracker.h"
 #include "haptic/link.h"
 #include "haptic/passivity_controller.h"
+#include "haptic/power_switch.h"
 #include "haptic/torque_channel.h"
 
 namespace tensormass::haptic {
@@ -69,6 +73,8 @@ struct LoopOptions {
   /// Torque on the hand and on its jaws. A device that states none gets none.
   TorqueOptions torque;
   TorqueOptions jaws;
+  /// ToolPose.level while DevicePose::pressed, 0 to 1. Above 0 only for a tool with Tool.cautery.
+  double power_level = 0.0;
   /// Counts recoveries while the loop runs, for another thread that tells people; null: nobody asks. Must outlive the
   /// loop, which itself never writes to a terminal, because that may block.
   std::atomic<std::uint64_t>* recoveries = nullptr;
@@ -107,6 +113,8 @@ struct LoopReport {
   std::uint64_t recovering_feedbacks = 0;
   std::uint64_t recoveries = 0;
   std::uint64_t watchdog_trips = 0;
+  /// Poses that asked for power.
+  std::uint64_t poses_with_power = 0;
   double max_force_n = 0.0;
   /// Lowest energy that the passivity observer counted [J]. 0 if the virtual tissue was always passive.
   double min_energy_j = 0.0;
@@ -151,6 +159,9 @@ class Loop {
   Result<void> tick();
   /// A tick with an invalid pose: zero force, nothing sent.
   Result<void> tick_without(const DevicePose& invalid);
+  void send(const DevicePose& pose, double level);
+  /// Sends the last pose once more, without power, if it had power.
+  void take_power_off();
   /// Force and torques for this pose, passive and within their limits.
   Wrench wrench_at(const DevicePose& pose, const ForceRenderer::Output& rendered);
   void report(const Wrench& wrench);
@@ -169,6 +180,10 @@ class Loop {
   TorqueChannel torque_;
   TorqueChannel jaws_;
   std::optional<DevicePose> last_pose_;
+  PowerSwitch power_;
+  double last_level_ = 0.0;
+  /// The newest answer was one to this client's pose, and it is fresh.
+  bool ours_ = false;
   LatencyTracker latency_;
   LoopReport report_;
   std::uint64_t last_step_ = 0;

@@ -49,6 +49,8 @@ constexpr double kDefaultDepth = 0.05;
 constexpr double kDefaultCircleRadius = 0.04;
 /// Time to ask the server why no feedback came [s].
 constexpr double kStatusTimeoutS = 2.0;
+/// Highest --cautery-button of any device.
+constexpr int kMaxPowerButton = kForceDimensionButtons;
 
 struct Options {
   std::string server = "127.0.0.1:50051";
@@ -72,6 +74,8 @@ struct Options {
   std::vector<double> direction;
   double depth_m = -1.0;
   std::optional<double> jaw_angle_rad;
+  /// Absent: the first button that has nothing else to do.
+  std::optional<int> power_button;
   HandScriptOptions hand;
   SimulatedDeviceOptions simulated;
   LoopOptions loop;
@@ -162,6 +166,7 @@ constexpr const char* kHandGroup = "Scripted hand (--device simulated)";
 constexpr const char* kHaplyGroup = "Haply Inverse (--device haply)";
 constexpr const char* kLibraryGroup = "OpenHaptics and Force Dimension (--device openhaptics, force-dimension)";
 constexpr const char* kHardwareGroup = "Devices other than the simulated one";
+constexpr const char* kPowerGroup = "Power (tools with cautery)";
 constexpr const char* kTorqueGroup = "Torque (--device simulated, force-dimension)";
 
 void add_hardware_options(CLI::App& app, Options& o) {
@@ -294,6 +299,15 @@ void add_options(CLI::App& app, Options& o) {
       ->check(Within(0.002, 1.0))
       ->capture_default_str()
       ->group(force);
+  app.add_option("--cautery-button", o.power_button,
+                 "Button of the device that works the tool's power, from 1; 0: none; default: 1, or 2 if the first one "
+                 "closes jaws. The simulated hand holds it down while it circles, if this option asks for it")
+      ->check(CLI::Range(0, kMaxPowerButton))
+      ->group(kPowerGroup);
+  app.add_option("--cautery-level", o.loop.power_level, "Share of the tool's power while the button is down")
+      ->check(Within(0.0, 1.0))
+      ->default_val(1.0)
+      ->group(kPowerGroup);
   app.add_option("--max-torque", o.loop.torque.max_torque_n_m, "Largest torque on the hand [N m]; 0: none")
       ->check(Within(0.0, 10.0))
       ->capture_default_str()
@@ -343,14 +357,28 @@ Result<HandScript> plan_hand(const Options& options, const DiscoveredTool& tool,
   return HandScript::create(hand);
 }
 
+/// Returns the button that works the tool's power, or 0 for none.
+Result<int> power_button_of(const Options& options, const DiscoveredTool& tool) {
+  if (!tool.has_power) {
+    if (options.power_button.value_or(0) == 0) return 0;
+    return invalid(
+        fmt::format("--cautery-button: tool {} has no power; give it Tool.cautery, or leave this out", options.tool));
+  }
+  if (options.power_button) return *options.power_button;
+  if (options.device == "simulated") return 0;
+  return options.device == "openhaptics" && tool.has_jaws ? 2 : 1;
+}
+
 Result<std::unique_ptr<Device>> make_device(const Options& options, const DiscoveredTool& tool, Patience patience,
                                             Clock& clock) {
   const Workspace workspace{
       options.workspace_center_m.empty() ? tool.tool_position_m : to_eigen(options.workspace_center_m),
       rotation_about_axes(to_eigen(options.workspace_rotation_deg)), options.workspace_scale};
+  TM_ASSIGN_OR_RETURN(power_button, power_button_of(options, tool));
   if (options.device == "haply") {
     HaplyOptions haply = options.haply;
     haply.choice.device_id = options.device_id;
+    haply.choice.power_button = power_button;
     haply.workspace = workspace;
     return std::make_unique<HaplyDevice>(haply);
   }
@@ -360,6 +388,7 @@ Result<std::unique_ptr<Device>> make_device(const Options& options, const Discov
     openhaptics.name = options.device_id;
     openhaptics.workspace = workspace;
     openhaptics.moves_jaws = tool.has_jaws;
+    openhaptics.power_button = power_button;
     return std::make_unique<OpenHapticsDevice>(openhaptics);
   }
   if (options.device == "force-dimension") {
@@ -368,11 +397,13 @@ Result<std::unique_ptr<Device>> make_device(const Options& options, const Discov
     force_dimension.serial = options.device_id;
     force_dimension.workspace = workspace;
     force_dimension.moves_jaws = tool.has_jaws;
+    force_dimension.power_button = power_button;
     return std::make_unique<ForceDimensionDevice>(force_dimension);
   }
   if (options.jaw_angle_rad && !tool.has_jaws) return invalid("--jaw-angle: the tool has no jaws");
   SimulatedDeviceOptions simulated = options.simulated;
   simulated.jaw_angle_rad = options.jaw_angle_rad;
+  simulated.presses_button = power_button > 0;
   TM_ASSIGN_OR_RETURN(script, plan_hand(options, tool, patience));
   return std::make_unique<SimulatedDevice>(simulated, script, clock);
 }

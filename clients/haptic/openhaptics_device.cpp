@@ -10,6 +10,7 @@
 
 #include <spdlog/fmt/fmt.h>
 
+#include "haptic/power_switch.h"
 #include "haptic/vendor_library.h"
 
 namespace tensormass::haptic {
@@ -42,7 +43,7 @@ constexpr HdEnum kCurrentForce = 0x2700, kForceOutput = 0x4000;
 constexpr HdEnum kCalibrationOk = 0x5000, kCalibrationNeedsUpdate = 0x5001;
 constexpr unsigned int kCallbackContinue = 1;
 constexpr unsigned short kDefaultPriority = 0xFFFF / 2;
-constexpr int kFirstButton = 1;
+constexpr int kFirstButton = 1;  // a bit, and the bits of the others follow
 
 constexpr double kMPerMm = 1e-3;
 /// Errors taken from the stack at once: more is a library that never says success.
@@ -227,6 +228,9 @@ class OpenHapticsDevice::Session {
     DevicePose pose{kAxes.from_maker(Eigen::Vector3d(kMPerMm * position_mm)),
                     kAxes.from_maker(Eigen::Matrix3d(transform.topLeftCorner<3, 3>()))};
     if (options_.moves_jaws) pose.jaw_angle_rad = (buttons & kFirstButton) != 0 ? 0.0 : kButtonJawAngleRad;
+    // Buttons of a frame that failed are not known, and the loop then ends.
+    if (options_.power_button > 0 && !error)
+      pose.pressed = (buttons & (kFirstButton << (options_.power_button - 1))) != 0;
     {
       const std::scoped_lock lock(mutex_);
       if (error && !error_) error_ = failed("make a frame", *error).value();
@@ -293,6 +297,10 @@ OpenHapticsDevice::~OpenHapticsDevice() { close(); }
 Result<void> OpenHapticsDevice::open() {
   close();
   TM_RETURN_IF_ERROR(check(options_.workspace, kKit));
+  TM_RETURN_IF_ERROR(check_power_button(options_.power_button, kOpenHapticsButtons, kKit));
+  if (options_.moves_jaws && options_.power_button == 1) {
+    return invalid("OpenHaptics: the first button closes the tool's jaws; give its power another --cautery-button");
+  }
   TM_ASSIGN_OR_RETURN(functions, Functions::load(options_.library));
   session_ = std::make_unique<Session>(functions, options_);
   const Result<void> started = session_->start();

@@ -51,7 +51,12 @@ struct OpenHapticsOptions {
   Workspace workspace;
   /// The tool has jaws: the first button closes them.
   bool moves_jaws = false;
+  /// The button that works the tool's power, 1 to kOpenHapticsButtons; 0: none. Not 1 with jaws.
+  int power_button = 0;
 };
+
+/// Buttons that the library tells apart.
+inline constexpr int kOpenHapticsButtons = 4;
 
 /// Angle of open jaws, with the button up [rad].
 inline constexpr double kButtonJawAngleRad = 0.5;

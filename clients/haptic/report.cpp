@@ -112,6 +112,7 @@ std::string to_json(const LoopReport& report, const RunLabel& label) {
       .add("poses_sent", report.poses_sent)
       .add("poses_not_taken", report.poses_not_taken)
       .add("poses_invalid", report.poses_invalid)
+      .add("poses_with_power", report.poses_with_power)
       .add("poses_forgotten", report.poses_forgotten)
       .add("last_sequence_sent", report.last_sequence_sent)
       .add("last_sequence_echoed", report.last_sequence_echoed)

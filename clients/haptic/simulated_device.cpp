@@ -108,6 +108,7 @@ Result<DevicePose> SimulatedDevice::read() {
   DevicePose pose{position_m_, rotation_of(turn_rad_)};
   // The stops of the jaws.
   if (options_.jaw_angle_rad) pose.jaw_angle_rad = std::clamp(jaws_rad_, 0.0, kMaxJawAngleRad);
+  pose.pressed = options_.presses_button && script_.circles(static_cast<double>(steps_done_) * kStepS);
   return pose;
 }
 

@@ -28,6 +28,8 @@ struct SimulatedDeviceOptions {
   double hand_angular_damping_n_m_s = 0.03;
   /// Angle at which the fingers hold the jaws, zero to kMaxJawAngleRad. Absent: the device has no jaws.
   std::optional<double> jaw_angle_rad = std::nullopt;
+  /// The hand holds the device's button down while it circles.
+  bool presses_button = false;
   DeviceInfo info{"simulated", 8.0, 2000.0, 20.0, 0.5, 2.0, 0.05, 0.5, 0.05};
 };
 

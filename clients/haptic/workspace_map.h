@@ -58,7 +58,7 @@ struct WorkspaceMap {
 
   DevicePose to_scene(const DevicePose& device) const {
     return {scene_center_m + scale * (rotation * (device.position_m - device_center_m)), rotation * device.orientation,
-            device.jaw_angle_rad};
+            device.jaw_angle_rad, device.pressed};
   }
 
   Eigen::Vector3d force_to_device(const Eigen::Vector3d& force_n) const { return rotation.conjugate() * force_n; }

@@ -101,6 +101,20 @@ TEST(Pose, HasTheAngleOfTheJawsIfTheDeviceHasOne) {
   EXPECT_EQ(message.joint_values(0), 0.4);
 }
 
+TEST(Pose, HasTheLevelOfThePower) {
+  OutgoingPose pose;
+  std::string bytes;
+  encode_pose(pose, bytes);
+  v1::ToolPose message;
+  ASSERT_TRUE(message.ParseFromString(bytes));
+  EXPECT_EQ(message.level(), 0.0);
+  pose.level = 0.25;
+  encode_pose(pose, bytes);
+  ASSERT_TRUE(message.ParseFromString(bytes));
+  EXPECT_EQ(message.level(), 0.25);
+  EXPECT_EQ(message.valid_for_s(), kPoseValidForS) << "the power of a client that dies ends with its pose";
+}
+
 TEST(Feedback, RefusesValuesThatCouldPushWithoutBound) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto with = [](auto change) {

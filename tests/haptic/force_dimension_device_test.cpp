@@ -254,5 +254,43 @@ TEST(ForceDimension, ALoopEndsWithoutForceEvenIfTheDeviceFails) {
   EXPECT_EQ(last, (Calls{"zero", "forces off", "dhdClose"}));
 }
 
+TEST(ForceDimension, TheChosenButtonAloneWorksThePower) {
+  for (const int button : {0, 1, 3, kForceDimensionButtons}) {
+    FakeDhd& fake = fresh_fake();
+    ForceDimensionOptions cautery = options();
+    cautery.power_button = button;
+    ForceDimensionDevice device(cautery);
+    ASSERT_TRUE(device.open());
+    for (int pressed = 0; pressed <= kForceDimensionButtons; ++pressed) {
+      fake.buttons = pressed == 0 ? 0 : 1u << (pressed - 1);
+      EXPECT_EQ(device.read()->pressed, button > 0 && pressed == button) << button << " " << pressed;
+    }
+    EXPECT_TRUE(fake.misuse.empty()) << fake.misuse.front();
+  }
+}
+
+TEST(ForceDimension, AButtonThatCannotBeReadEndsTheLoopAndIsNotDown) {
+  FakeDhd& fake = fresh_fake();
+  ForceDimensionOptions cautery = options();
+  cautery.power_button = 1;
+  ForceDimensionDevice device(cautery);
+  ASSERT_TRUE(device.open());
+  fake.results["dhdGetButton"] = -1;
+  const auto pose = device.read();
+  ASSERT_FALSE(pose);
+  EXPECT_TRUE(has(pose.error(), "cannot read its button (words of the maker)")) << pose.error().message;
+  cautery.power_button = kForceDimensionButtons + 1;
+  EXPECT_TRUE(has(ForceDimensionDevice(cautery).open().error(), "--cautery-button 9: choose a button from 1 to 8"));
+  // A library without buttons is enough until one is asked for.
+  FakeDhd* (*make)() = nullptr;
+  ASSERT_TRUE(VendorLibrary::open(FAKE_DHD_PASSIVE, "fake", "")->find("fake_dhd", make));
+  make()->has_active_wrist = make()->has_active_gripper = false;
+  cautery.library = FAKE_DHD_PASSIVE;
+  cautery.power_button = 1;
+  EXPECT_TRUE(has(ForceDimensionDevice(cautery).open().error(), "has no function dhdGetButton"));
+  cautery.power_button = 0;
+  EXPECT_TRUE(ForceDimensionDevice(cautery).open());
+}
+
 }  // namespace
 }  // namespace tensormass::haptic

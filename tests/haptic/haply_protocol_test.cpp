@@ -2,8 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <string>
+
+#include <spdlog/fmt/fmt.h>
 
 namespace tensormass::haptic {
 namespace {
@@ -217,6 +220,53 @@ TEST(HaplyForce, IsCalledValuesBefore) {
 TEST(HaplyForce, AnIdCannotBreakOutOfItsString) {
   const std::string text = haply_force_command({R"(a"}]})", "", HaplyForceField::kVector}, Eigen::Vector3d::Zero());
   EXPECT_NE(text.find(R"("device_id":"a\"}]}")"), std::string::npos) << text;
+}
+
+// --- buttons ---
+
+/// A state of the devices kWithGrip: `buttons` are members of the grip's state.
+std::string state_with_buttons(const std::string& buttons) {
+  return R"({"inverse3": [{"device_id": "0C2D", "state": {"cursor_position": {"x": 0, "y": 0, "z": 0}}}],)"
+         R"("wireless_verse_grip": [{"device_id": "70001", "state": {"orientation": {"w": 1, "x": 0, "y": 0, "z": 0},)" +
+         buttons + "}}]}";
+}
+
+TEST(HaplyButtons, TheChosenOneAloneWorksThePower) {
+  HaplyDevices devices = kWithGrip;
+  const std::array<std::string, 4> states = {
+      R"("buttons": {"a": false, "b": false, "c": false})", R"("buttons": {"a": true, "b": false, "c": false})",
+      R"("buttons": {"a": false, "b": true, "c": false})", R"("buttons": {"a": false, "b": false, "c": true})"};
+  for (int button = 0; button <= kHaplyButtons; ++button) {
+    devices.power_button = button;
+    for (int pressed = 0; pressed <= kHaplyButtons; ++pressed) {
+      const auto pose = parse_haply_state(state_with_buttons(states.at(static_cast<std::size_t>(pressed))), devices);
+      ASSERT_TRUE(pose) << pose.error().message;
+      EXPECT_EQ(pose->pressed, button > 0 && pressed == button) << button << " " << pressed;
+    }
+  }
+  devices.power_button = 1;
+  EXPECT_TRUE(parse_haply_state(state_with_buttons(R"("button": true)"), devices)->pressed) << "a wired grip";
+  EXPECT_FALSE(parse_haply_state(state_with_buttons(R"("button": false)"), devices)->pressed);
+}
+
+TEST(HaplyButtons, OneThatIsMissingOrNoButtonIsAnErrorAndNeverDown) {
+  HaplyDevices devices = kWithGrip;
+  devices.power_button = 2;
+  expect_error(parse_haply_state(state_with_buttons(R"("button": true)"), devices), ErrorCode::kUnavailable,
+               {R"(VerseGrip "70001": its button 2 is missing)", "--cautery-button"});
+  for (const char* wrong : {"1", "null", R"("true")", "{}", "[true]"}) {
+    const std::string buttons = fmt::format(R"("buttons": {{"a": true, "b": {}, "c": true}})", wrong);
+    expect_error(parse_haply_state(state_with_buttons(buttons), devices), ErrorCode::kUnavailable,
+                 {"its button 2 is neither up nor down"});
+  }
+}
+
+TEST(HaplyButtons, NeedAGrip) {
+  expect_error(parse_haply_snapshot(kSnapshot35, {"", "", 1}), ErrorCode::kNotFound,
+               {"no Haply VerseGrip", "--cautery-button 0"});
+  const auto devices = parse_haply_snapshot(kSnapshot34, {"", "", 1});
+  ASSERT_TRUE(devices) << devices.error().message;
+  EXPECT_EQ(devices->power_button, 1);
 }
 
 }  // namespace

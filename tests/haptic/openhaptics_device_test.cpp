@@ -288,5 +288,47 @@ TEST(OpenHaptics, ALoopRendersAForceAndEndsWithoutOne) {
   EXPECT_EQ(fake.calls.back(), "hdDisableDevice");
 }
 
+TEST(OpenHaptics, TheChosenButtonAloneWorksThePower) {
+  for (const int button : {0, 1, 2, 4}) {
+    FakeHd& fake = fresh_fake();
+    OpenHapticsOptions cautery = options();
+    cautery.power_button = button;
+    OpenHapticsDevice device(cautery);
+    ASSERT_TRUE(device.open());
+    EXPECT_FALSE(device.read()->pressed);
+    for (int pressed = 1; pressed <= kOpenHapticsButtons; ++pressed) {
+      {
+        const std::scoped_lock lock(fake.mutex);
+        fake.buttons = 1 << (pressed - 1);
+        fake.position_mm[0] = pressed;  // says that the frame has come
+      }
+      const DevicePose pose = wait_for_pose(
+          device, fake, [&](const DevicePose& p) { return std::abs(p.position_m.x() - 1e-3 * pressed) < 1e-9; });
+      EXPECT_EQ(pose.pressed, pressed == button) << button;
+    }
+  }
+}
+
+TEST(OpenHaptics, TheButtonOfTheJawsDoesNotWorkThePower) {
+  fresh_fake();
+  OpenHapticsOptions both = options();
+  both.moves_jaws = true;
+  both.power_button = 1;
+  const auto opened = OpenHapticsDevice(both).open();
+  ASSERT_FALSE(opened);
+  EXPECT_EQ(opened.error().code, ErrorCode::kInvalidArgument);
+  EXPECT_TRUE(has(opened.error(), "closes the tool's jaws; give its power another --cautery-button"));
+  both.power_button = 5;
+  EXPECT_TRUE(has(OpenHapticsDevice(both).open().error(), "--cautery-button 5: choose a button from 1 to 4"));
+  both.power_button = 2;
+  FakeHd& fake = fresh_fake();
+  fake.buttons = 2;
+  OpenHapticsDevice device(both);
+  ASSERT_TRUE(device.open());
+  const DevicePose pose = device.read().value();
+  EXPECT_TRUE(pose.pressed);
+  EXPECT_DOUBLE_EQ(pose.jaw_angle_rad.value(), kButtonJawAngleRad);
+}
+
 }  // namespace
 }  // namespace tensormass::haptic

@@ -50,6 +50,8 @@ class InverseService:
     #: (w, x, y, z) of every grip.
     orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     status: Message = field(default_factory=lambda: dict(FIT))
+    #: Whether the button of every grip is down after this many commands.
+    presses: Callable[[int], bool] = lambda count: False
 
     #: Every force that came [N], in the device's frame.
     forces: list[Vector] = field(default_factory=list)
@@ -153,7 +155,7 @@ class InverseService:
         if self.dialect == "3.5":
             state |= {"current_cursor_force": zero, "control_domain": "cartesian", "control_mode": "force"}
         w, x, y, z = self.orientation
-        grip = {"button": False, "hall": 0, "orientation": {"x": x, "y": y, "z": z, "w": w}}
+        grip = {"button": self.presses(count), "hall": 0, "orientation": {"x": x, "y": y, "z": z, "w": w}}
         return {
             "inverse3": [{"device_id": name, "state": state, "status": self.status} for name in self.inverses],
             "verse_grip": [

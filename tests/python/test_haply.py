@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from inverse_service import HANG_UP, SILENT, Dialect, InverseService, Message, Vector
-from test_haptic_program import BLOCK, PROGRAM
+from test_haptic_program import BLOCK, BURNING, PROGRAM
 
 import tensormass as tm
 from tensormass.v1 import stream_pb2
@@ -151,6 +151,37 @@ def test_two_devices_are_told_apart_by_their_id(server: tm.Server, scene: tm.Sce
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["device"] == 'Haply Inverse3 "04BA"'
     assert service.complaints == []
+
+
+# --- the button -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("options", "burns"), [((), True), (("--cautery-button", 0), False)], ids=["1", "none"])
+def test_the_grips_button_works_the_power(server: tm.Server, options: tuple[object, ...], burns: bool) -> None:
+    with (
+        server.load(tm.Scene.from_yaml(BURNING), name=f"haply-{next(_NUMBER)}") as scene,
+        InverseService(grips=("61548",), presses=lambda count: 400 <= count < 800) as service,
+    ):
+        words = command(scene, server, service, "--json", "-", *options, seconds=1.0)
+        done = run(words)
+        assert done.returncode == 0, done.stderr
+        assert (json.loads(done.stdout)["poses_with_power"] > 20) == burns
+        with scene.feedbacks("probe") as feedbacks:
+            assert next(iter(feedbacks)).level == 0
+        assert not service.complaints
+
+
+def test_a_button_needs_a_grip_that_has_it(server: tm.Server) -> None:
+    with server.load(tm.Scene.from_yaml(BURNING), name=f"haply-{next(_NUMBER)}") as scene:
+        with InverseService() as service:
+            done = run(command(scene, server, service))
+        assert done.returncode == 1
+        assert "no Haply VerseGrip is connected" in done.stderr
+        assert "--cautery-button 0" in done.stderr
+        with InverseService(grips=("61548",)) as service:
+            done = run(command(scene, server, service, "--cautery-button", 3))
+        assert done.returncode == 1
+        assert "its button 3 is missing; choose another one with --cautery-button" in done.stderr
 
 
 # --- what goes wrong --------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from test_haptic_program import BLOCK, PROGRAM
+from test_haptic_program import BLOCK, BURNING, PROGRAM
 
 import tensormass as tm
 
@@ -45,6 +45,21 @@ def test_a_device_of_a_makers_library_moves_the_tool(server: tm.Server, scene: t
     assert report["poses_invalid"] == 0
     assert report["feedback_received"] > 0
     assert ("max_torque_n_m" in report) == (device == "force-dimension")
+
+
+@pytest.mark.parametrize("device", NAMES)
+def test_a_button_is_read_of_a_tool_with_power_alone(server: tm.Server, scene: tm.SceneHandle, device: str) -> None:
+    library = ("--device", device, "--device-library", FAKES[device])
+    done = run(server, scene.name, *library, "--seconds", 0.1, "--cautery-button", 1)
+    assert done.returncode == 2
+    assert "--cautery-button: tool probe has no power; give it Tool.cautery, or leave this out" in done.stderr
+    with server.load(tm.Scene.from_yaml(BURNING), name=f"makers-{next(_NUMBER)}") as burning:
+        done = run(server, burning.name, *library, "--seconds", 0.3, "--json", "-")
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["poses_with_power"] == 0, "nobody presses"
+        done = run(server, burning.name, *library, "--seconds", 1, "--cautery-button", 7)
+        wrong = "OpenHaptics: --cautery-button 7: choose a button from 1 to 4, or 0 for none"
+        assert (done.returncode, wrong in done.stderr) == ((2, True) if device == "openhaptics" else (0, False))
 
 
 @pytest.mark.parametrize("device", NAMES)

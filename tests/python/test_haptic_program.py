@@ -165,6 +165,51 @@ def test_a_hand_at_the_ends_of_its_options_sends_poses_that_are_some(
     assert scene.status().poses_rejected == 0
 
 
+BURNING = BLOCK.replace("position_m: {x: 0.05", "cautery: {power_w: 50}\n    position_m: {x: 0.05") + "editing: {}\n"
+# A part of what tissue takes, so that one press is enough.
+BURNING = BURNING.replace("    density_kg", "    ablation_j_per_m3: 1.0e+6\n    density_kg")
+
+
+def test_a_hand_burns_while_it_holds_the_button(server: tm.Server, load: Callable[[str], tm.SceneHandle]) -> None:
+    scene = load(BURNING)
+    press = (*PRESS, "--depth", 0.006, "--seconds", 2, "--period", 2, "--json", "-")
+
+    def burn(*options: object) -> int:
+        done = haptic(*at(server, scene), *press, *options)
+        assert done.returncode == 0, done.stderr
+        with scene.feedbacks("probe") as feedbacks:
+            assert next(iter(feedbacks)).level == 0, "the last pose has no power"
+        return int(json.loads(done.stdout)["poses_with_power"])
+
+    assert burn() == burn("--cautery-button", 0) == burn("--cautery-button", 1, "--cautery-level", 0) == 0
+    assert scene.status().removed_volume_m3 == 0
+    # The hand circles for two fifths of two seconds, at 1 kHz.
+    assert 300 < burn("--cautery-button", 1) < 810
+    assert scene.status().removed_volume_m3 > 1e-7
+
+
+def test_a_hand_that_is_killed_while_it_burns_burns_no_longer(
+    server: tm.Server, load: Callable[[str], tm.SceneHandle]
+) -> None:
+    scene = load(BURNING)
+    with scene.feedbacks("probe") as feedbacks:
+        command = [PROGRAM, *at(server, scene), *PRESS, "--seconds", "60", "--period", "2", "--cautery-button", "1"]
+        with subprocess.Popen(command, stderr=subprocess.DEVNULL) as hand:
+            last = next(feedback for feedback in feedbacks if feedback.level > 0)
+            hand.kill()
+        # 0.5 s in steps of 5 ms until the pose expires; some were on their way.
+        off = next(feedback for feedback in feedbacks if feedback.level == 0)
+        assert off.step - last.step < 200
+
+
+def test_a_tool_without_power_has_no_button(server: tm.Server, load: Callable[[str], tm.SceneHandle]) -> None:
+    done = haptic(*at(server, load(BLOCK)), "--cautery-button", 1, "--seconds", 0.1)
+    assert done.returncode == 2
+    assert "--cautery-button: tool probe has no power; give it Tool.cautery, or leave this out" in done.stderr
+    for option, value in (("--cautery-level", "nan"), ("--cautery-level", 1.5), ("--cautery-button", -1)):
+        assert haptic(option, value).returncode == 2
+
+
 def test_a_web_proxy_is_not_used_for_the_server(server: tm.Server, load: Callable[[str], tm.SceneHandle]) -> None:
     proxy = {
         "http_proxy": "http://127.0.0.1:1",

@@ -66,6 +66,14 @@ int dhdGetGripperAngleRad(double* angle_rad, char) {
   return result_of("dhdGetGripperAngleRad");
 }
 
+#ifndef WITHOUT_BUTTONS
+int dhdGetButton(int index, char id) {
+  if (index < 0 || index > 7 || id != kId) device->misuse.emplace_back("a button that the device lacks is read");
+  const int result = result_of("dhdGetButton");
+  return result < 0 ? result : static_cast<int>(device->buttons >> index & 1u);
+}
+#endif
+
 int dhdSetForceAndTorqueAndGripperForce(double x, double y, double z, double a, double b, double g, double grip,
                                         char id) {
   const bool turns = a != 0 || b != 0 || g != 0;

@@ -15,6 +15,7 @@ struct FakeDhd {
   double rotation[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
   bool has_gripper = true, has_active_wrist = true, has_active_gripper = true;
   double gripper_angle_rad = 0;
+  unsigned int buttons = 0;            // a bit each
   std::map<std::string, int> results;  // by the function's name; absent: success
 
   // The record.
