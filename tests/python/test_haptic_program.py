@@ -193,8 +193,8 @@ def test_a_hand_that_is_killed_while_it_burns_burns_no_longer(
 ) -> None:
     scene = load(BURNING)
     with scene.feedbacks("probe") as feedbacks:
-        command = [PROGRAM, *at(server, scene), *PRESS, "--seconds", "60", "--period", "2", "--cautery-button", "1"]
-        with subprocess.Popen(command, stderr=subprocess.DEVNULL) as hand:
+        press = [*at(server, scene), *PRESS, "--seconds", "60", "--period", "2", "--cautery-button", "1"]
+        with subprocess.Popen([PROGRAM, *press], stderr=subprocess.DEVNULL) as hand:
             last = next(feedback for feedback in feedbacks if feedback.level > 0)
             hand.kill()
         # 0.5 s in steps of 5 ms until the pose expires; some were on their way.
