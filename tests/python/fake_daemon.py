@@ -225,7 +225,10 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         self, request: control_pb2.EditSceneRequest, context: Call
     ) -> control_pb2.EditSceneResponse:
         await self._command(request, context)
-        return control_pb2.EditSceneResponse()
+        reply = control_pb2.EditSceneResponse()
+        for tool in request.edit.add_tools:
+            reply.findings.add(tool=tool.name, message="it is inside tissue")
+        return reply
 
     async def LoadScene(  # noqa: N802
         self, request: control_pb2.LoadSceneRequest, context: Call

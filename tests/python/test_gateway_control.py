@@ -61,7 +61,45 @@ async def test_values_after_an_adjustment_reach_the_operator(viewer: Path) -> No
             assert daemon.commands == [control_pb2.AdjustSceneRequest(scene="liver", changes=sent)]
 
 
-@pytest.mark.parametrize("action", ["pause", "resume", "step", "reset", "load", "unload", "adjust"])
+@asynchronous
+async def test_tools_come_and_go_with_their_findings(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
+        load(daemon)
+        async with browse(gateway, "liver") as page:
+            hook = {"name": "hook", "capsule": {"radius_m": 0.01, "length_m": 0.5}, "position_m": {"z": 1.0}}
+            result = await page.command("edit", "liver", edit={"add_tools": [hook]})
+            assert (result["error"], result["findings"]) == ("", [{"tool": "hook", "message": "it is inside tissue"}])
+            result = await page.command("edit", "liver", edit={"remove_tools": ["hook"]})
+            assert (result["error"], result["findings"]) == ("", [])
+            added, removed = daemon.commands
+            assert isinstance(added, control_pb2.EditSceneRequest)
+            assert added.edit.add_tools[0].capsule.length_m == 0.5
+            assert removed == control_pb2.EditSceneRequest(scene="liver", edit={"remove_tools": ["hook"]})
+            daemon.refusal = "edit.remove_tools[0]: scene 'liver' has no tool 'needle'"
+            result = await page.command("edit", "liver", edit={"remove_tools": ["needle"]})
+            assert result["error"] == daemon.refusal
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        ([], "edit is not a JSON object"),
+        ({"add_tools": [{"name": 3}]}, "edit is not a SceneEdit as JSON"),
+        ({"add_tools": [{"nam": "hook"}]}, "edit is not a SceneEdit as JSON"),
+        ({"remove_tool": ["hook"]}, "edit is not a SceneEdit as JSON"),
+    ],
+)
+@asynchronous
+async def test_refuses_edits_that_are_none(viewer: Path, edit: object, said: str) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
+        load(daemon)
+        async with browse(gateway, "liver") as page:
+            await page.send(type="control", id=7, action="edit", scene="liver", edit=edit)
+            assert await page.closed() == (1008, said)
+            assert daemon.commands == []
+
+
+@pytest.mark.parametrize("action", ["pause", "resume", "step", "reset", "load", "unload", "adjust", "edit"])
 @asynchronous
 async def test_who_only_looks_controls_nothing(viewer: Path, action: str) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control, allow_poses=True)) as gateway:

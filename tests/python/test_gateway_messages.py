@@ -43,6 +43,10 @@ VALID: dict[str, dict[str, Any]] = {
             "gravity_m_per_s2": {"x": 0.5, "y": 1.0, "z": -9.81},
             "bodies": [{"body": "a", "stiffness_factor": 2.0}],
         },
+        "edit": {
+            "add_tools": [{"name": "hook", "capsule": {"radius_m": 0.01, "length_m": 0.5}, "position_m": {"z": 1.0}}],
+            "remove_tools": ["probe"],
+        },
     },
     "ack": {"stream": "frame", "keyframe": 1},
 }

@@ -1,4 +1,4 @@
-"""Commands of an operator: pause, resume, step, reset and adjust a scene, load a built-in one, unload one.
+"""Commands of an operator: pause, resume, step, reset, adjust and edit a scene, load a built-in one, unload one.
 
 A recording is also stepped back, moved to a time and played at another speed (playback.py).
 """
@@ -40,6 +40,7 @@ class Action(enum.StrEnum):
     LOAD = "load"
     UNLOAD = "unload"
     ADJUST = "adjust"
+    EDIT = "edit"
     STEP_BACK = "step_back"
     SEEK = "seek"
     SPEED = "speed"
@@ -64,6 +65,7 @@ class Command:
     """Time of a recording to which `seek` moves."""
     speed: float = 1.0
     changes: adjustment_pb2.SceneAdjustments = field(default_factory=adjustment_pb2.SceneAdjustments)
+    edit: adjustment_pb2.SceneEdit = field(default_factory=adjustment_pb2.SceneEdit)
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ class Outcome:
     adjustments: adjustment_pb2.SceneAdjustments | None = None
     """All values of a scene after `adjust`."""
     findings: Sequence[finding_pb2.Finding] | None = None
-    """The findings of a scene after `load`."""
+    """The findings of a scene after `load`, those of new tools after `edit`."""
 
 
 def read_command(request: dict[str, Any]) -> Command:
@@ -94,16 +96,21 @@ def read_command(request: dict[str, Any]) -> Command:
         raise ProtocolError(f"speed is not a number from {MIN_SPEED:g} to {MAX_SPEED:g}")
     if not isinstance(given.get("changes", {}), dict):
         raise ProtocolError("changes is not a JSON object")
+    if not isinstance(given.get("edit", {}), dict):
+        raise ProtocolError("edit is not a JSON object")
     if not _is_whole(given.get("steps", 1), 1, MAX_STEPS):
         raise ProtocolError(f"steps is not a whole number from 1 to {MAX_STEPS}")
     if not isinstance(given.get("lockstep", False), bool):
         raise ProtocolError("lockstep is not true or false")
     if given.keys() - gateway_pb2.ViewerCommand.DESCRIPTOR.fields_by_name.keys():
         raise ProtocolError("a command has unknown fields")
-    try:
-        command = json_format.ParseDict(given, gateway_pb2.ViewerCommand())
-    except PARSE_ERRORS as error:  # all other fields are checked
-        raise ProtocolError("changes is not a SceneAdjustments as JSON") from error
+    command = gateway_pb2.ViewerCommand()
+    for name, of in (("changes", command.changes), ("edit", command.edit)):
+        try:
+            json_format.ParseDict(given.pop(name, {}), of)
+        except PARSE_ERRORS as error:
+            raise ProtocolError(f"{name} is not a {of.DESCRIPTOR.name} as JSON") from error
+    json_format.ParseDict(given, command)  # its fields are checked
     return Command(
         int(command.id),
         Action(command.action),
@@ -113,6 +120,7 @@ def read_command(request: dict[str, Any]) -> Command:
         time_s=command.time_s,
         speed=command.speed if command.HasField("speed") else 1.0,
         changes=command.changes,
+        edit=command.edit,
     )
 
 
@@ -134,6 +142,8 @@ class Control:
                     return await self._load(command)
             if command.action is Action.ADJUST:
                 return await self._adjust(command)
+            if command.action is Action.EDIT:
+                return await self._edit(command)
             await self._call(command)
         except grpc.aio.AioRpcError as error:
             raise CommandError(error.details() or f"the daemon answered {error.code().name}") from error
@@ -147,6 +157,11 @@ class Control:
         request = control_pb2.AdjustSceneRequest(scene=command.scene, changes=command.changes)
         reply = await self._daemon.control.AdjustScene(request, timeout=LOAD_TIMEOUT_S)
         return Outcome(command.scene, reply.adjustments)
+
+    async def _edit(self, command: Command) -> Outcome:
+        request = control_pb2.EditSceneRequest(scene=command.scene, edit=command.edit)
+        reply = await self._daemon.control.EditScene(request, timeout=LOAD_TIMEOUT_S)
+        return Outcome(command.scene, findings=reply.findings)
 
     async def _call(self, command: Command) -> None:
         control, scene = self._daemon.control, command.scene

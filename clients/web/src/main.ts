@@ -21,6 +21,7 @@ import { MaterialPanel } from "./panel/material";
 import { Plots } from "./panel/plots";
 import { loadSettings, type Settings } from "./panel/settings";
 import { Timeline } from "./panel/timeline";
+import { ToolsPanel } from "./panel/tools";
 import type { Session } from "./stream/session";
 import type { Vector } from "./stream/decode";
 import { QUALITIES, drawsInSoftware, qualityOf, type Level } from "./view/quality";
@@ -54,6 +55,7 @@ const commands = new Commands(() => grid.selected.session, toast, showState, (sc
 const controls = new Controls({ command: (action, options) => void commands.send(action, options) });
 const timeline = new Timeline((action, options) => commands.send(action, options));
 const material = new MaterialPanel((text) => toast.show(`Adjusting the scene: ${text}`, "bad"));
+const tools = new ToolsPanel();
 const display = new Display({
   change: changeDisplay,
   setZero: () => grid.selected.session.store.setZero(),
@@ -100,6 +102,7 @@ listenToKeys({
   f: toggleFilm,
   d: () => find("#display", HTMLDetailsElement).toggleAttribute("open"),
   m: () => find("#material", HTMLDetailsElement).toggleAttribute("open"),
+  i: () => find("#tools-menu", HTMLDetailsElement).toggleAttribute("open"),
   Escape: () => {
     hud.hideNotice();
     toast.hide();
@@ -196,6 +199,7 @@ function showState(): void {
   if (followed?.session !== session || followed.scene !== watched) {
     followed = { session, scene: watched };
     material.follow(watched === null ? null : (changes) => session.adjust(watched, changes));
+    tools.follow(watched === null ? null : (edit) => session.edit(watched, edit));
   }
   if (head !== null) {
     timeline.showHead(head);
@@ -205,6 +209,7 @@ function showState(): void {
   const state = controlState(daemon, watched, store.status, commands.busy);
   controls.show(state, daemon, watched);
   material.show(state.adjust);
+  tools.show(store.topology, store.frame?.positions ?? null, state.adjust);
 }
 
 function showReadings(): void {

@@ -148,3 +148,20 @@ it("draws no arrow for a force that is only rounding", () => {
   expect(update({ x: 0, y: 0.004, z: 0 }).labels).toEqual([]);
   expect(update({ x: 0, y: 0.006, z: 0 }).labels).toHaveLength(1);
 });
+
+it("leaves removed tools to fade, and hides the others", () => {
+  const sphere = (name: string) => ({ name, radiusM: 0.1, tipOffsetM: { x: 0, y: 0, z: 0 } });
+  const topology = (...names: string[]) => decodeTopology(topologyBytes({ tools: names.map(sphere) }));
+  const instruments = new Instruments(topology("probe", "hook"), 2, LOW);
+  const tools = ["probe", "hook"].map((tool) => ({ tool, positionM: { x: 0, y: 0, z: 0 }, forceN: { x: 0, y: 0, z: 3 } }));
+  instruments.update(decodeFrame(frameBytes({ tools })));
+  expect(instruments.keepRemoved(topology("probe"))).toBe(true);
+  instruments.fade(0.4);
+  const [probe, hook] = instruments.group.children;
+  expect([probe!.visible, hook!.visible]).toEqual([false, true]);
+  expect(hook!.children.map((child) => child.visible)).toEqual([true, false]); // the tool without its arrow
+  const steel = (instruments.shapes()[1] as THREE.Mesh).material as THREE.Material;
+  expect([steel.transparent, steel.opacity]).toEqual([true, 0.4]);
+  expect(steel.version, "compiled anew, because an opaque program ignores opacity").toBe(1);
+  expect(new Instruments(topology("probe"), 2, LOW).keepRemoved(topology("probe", "hook"))).toBe(false);
+});

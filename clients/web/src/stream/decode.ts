@@ -91,6 +91,8 @@ export interface ToolShape {
   readonly fixed: boolean;
   /** Whether its tip has the power to burn tissue. */
   readonly burns: boolean;
+  /** The tool as the scene describes it; null: the server does not say. */
+  readonly description: Tool | null;
 }
 
 export type Solid =
@@ -265,6 +267,7 @@ export function decodeTopology(payload: Uint8Array, stream: StreamName = "topolo
       solid: solidOf(where, tool.tool),
       fixed: tool.tool?.fixed ?? false,
       burns: tool.tool?.cautery !== undefined,
+      description: tool.tool ?? null,
     };
   });
   const { scene, version, attachmentPointCount } = message;

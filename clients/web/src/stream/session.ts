@@ -1,7 +1,8 @@
 // One scene and the connection that shows it: the gateway sends the streams of one scene on each WebSocket.
 import type { MessageInitShape } from "@bufbuild/protobuf";
 
-import type { SceneAdjustmentsSchema } from "../generated/tensormass/v1/adjustment_pb";
+import type { SceneAdjustmentsSchema, SceneEditSchema } from "../generated/tensormass/v1/adjustment_pb";
+import type { Finding as FindingMessage } from "../generated/tensormass/v1/finding_pb";
 import type { ClockReply, CommandResult, DaemonState, PlayHead } from "../generated/tensormass/v1/gateway_pb";
 import { linkSituation, recordingSituation, sceneSituation, type Situation } from "../situation";
 import { decodeChanges } from "./changes";
@@ -30,6 +31,7 @@ import { SceneStore, type Counters } from "./store";
 import type { Command } from "./texts";
 
 type Adjustments = MessageInitShape<typeof SceneAdjustmentsSchema>;
+type SceneEdit = MessageInitShape<typeof SceneEditSchema>;
 
 /** How long a recovery shows after its last step [ms]. Most last for a few steps, which nobody would see. */
 export const RECOVERY_SHOWS_MS = 1500;
@@ -215,6 +217,11 @@ export class Session {
   /** Changes values of a scene and returns all of them. */
   async adjust(scene: string, changes: Adjustments): Promise<Adjustments> {
     return (await this.control({ action: "adjust", scene, changes })).adjustments ?? {};
+  }
+
+  /** Adds tools to a scene or takes them from it. Returns findings that concern new ones. */
+  async edit(scene: string, edit: SceneEdit): Promise<readonly FindingMessage[]> {
+    return (await this.control({ action: "edit", scene, edit })).findings;
   }
 
   /** @param level Share of its power that the tool uses, 0 to 1. */

@@ -47,6 +47,23 @@ export class Instruments {
     return [...this.#tools.values()].filter((tool) => !tool.fixed).map((tool) => tool.mesh);
   }
 
+  /** Leaves only tools that a topology does not have, where they are, without their forces. Tells whether there are any. */
+  keepRemoved({ tools }: Topology): boolean {
+    for (const [name, tool] of this.#tools) {
+      const stays = tools.some((shape) => shape.name === name);
+      tool.group.visible = !stays;
+      tool.hideForce();
+    }
+    return [...this.#tools.values()].some(({ group }) => group.visible);
+  }
+
+  /** Draws all tools see-through. @param opacity 0 to 1 */
+  fade(opacity: number): void {
+    for (const tool of this.#tools.values()) {
+      tool.fade(opacity);
+    }
+  }
+
   dispose(): void {
     this.group.traverse((object) => {
       if (object instanceof THREE.Mesh) {
@@ -124,10 +141,7 @@ class Instrument {
       this.mesh.geometry.dispose();
       this.mesh.geometry = shapeOf(this.#shape, state.jointValues, this.#sceneRadiusM);
     }
-    for (const steel of this.#steel) {
-      steel.transparent = state.retired;
-      steel.opacity = state.retired ? RETIRED_OPACITY : 1;
-    }
+    this.fade(state.retired ? RETIRED_OPACITY : 1);
 
     const force = new THREE.Vector3(...state.forceN);
     // hypot, because the square of a large force overflows.
@@ -145,6 +159,21 @@ class Instrument {
     this.#arrowHead.position.set(0, length, 0);
     const tip = direction.multiplyScalar(length + 8 * ARROW_WIDTH * this.#sceneRadiusM).add(this.#arrow.position);
     return [{ tool: this.#shape.name, magnitudeN, tipM: [tip.x, tip.y, tip.z] }];
+  }
+
+  fade(opacity: number): void {
+    for (const steel of this.#steel) {
+      // A program that was compiled for an opaque material ignores its opacity.
+      if (steel.transparent !== opacity < 1) {
+        steel.transparent = opacity < 1;
+        steel.needsUpdate = true;
+      }
+      steel.opacity = opacity;
+    }
+  }
+
+  hideForce(): void {
+    this.#arrow.visible = false;
   }
 }
 

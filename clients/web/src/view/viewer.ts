@@ -17,6 +17,9 @@ import { Strands } from "./strands";
 import { Studio } from "./studio";
 import { Tissue } from "./tissue";
 
+/** Time in which a tool that was removed fades out [ms]. */
+const FADE_MS = 700;
+
 export interface ViewerEvents {
   /**
    * Called when a new frame was drawn.
@@ -44,6 +47,8 @@ export class Viewer implements Picture {
   #tissue: Tissue | null = null;
   #strands: Strands | null = null;
   #instruments: Instruments | null = null;
+  /** Tools that were removed and fade out, since when. Not in the picture yet while `sinceMs` is null. */
+  #leaving: { readonly instruments: Instruments; sinceMs: number | null } | null = null;
   #forces: readonly ForceLabel[] = [];
   #revision = -1;
   /** Changes of the surface that the objects show. */
@@ -183,6 +188,7 @@ export class Viewer implements Picture {
     if (this.#instruments !== null) {
       this.#instruments.group.visible = this.#settings.tools;
     }
+    this.#fade();
     const changed = this.#dirty;
     this.#dirty = false;
     return changed;
@@ -200,6 +206,7 @@ export class Viewer implements Picture {
   dispose(): void {
     this.#stage.remove(this);
     this.#clear();
+    this.#dropLeaving();
     this.#studio.dispose();
   }
 
@@ -212,6 +219,7 @@ export class Viewer implements Picture {
   #build(topology: Topology, frame: Frame): void {
     // The same scene in another detail, or with other tools, keeps its place in the picture.
     if (this.#store.sceneVersion !== this.#framed) {
+      this.#dropLeaving();
       this.#framed = this.#store.sceneVersion;
       this.#bounds.setFromArray(frame.positions);
       this.#radiusM = Math.max(this.#bounds.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
@@ -221,6 +229,7 @@ export class Viewer implements Picture {
     this.#tissue = new Tissue(topology, frame.positions, radiusM, level, () => (this.#dirty = true));
     this.#instruments = new Instruments(topology, radiusM, level);
     this.#studio.world.add(this.#tissue.group, this.#instruments.group);
+    this.#startLeaving(topology);
     if (topology.attachments.length > 0) {
       this.#strands = new Strands(topology, radiusM);
       this.#studio.world.add(this.#strands.mesh);
@@ -308,7 +317,49 @@ export class Viewer implements Picture {
     this.#changes = null;
   }
 
+  /** Lets the tools that the scene has no more fade from now on, unless they fade already. */
+  #startLeaving(topology: Topology): void {
+    const leaving = this.#leaving;
+    if (leaving === null) {
+      return;
+    }
+    this.#studio.world.add(leaving.instruments.group);
+    if (leaving.sinceMs === null) {
+      if (leaving.instruments.keepRemoved(topology)) {
+        leaving.sinceMs = performance.now();
+      } else {
+        this.#dropLeaving();
+      }
+    }
+  }
+
+  #fade(): void {
+    const leaving = this.#leaving;
+    if (leaving === null || leaving.sinceMs === null) {
+      return;
+    }
+    const share = (performance.now() - leaving.sinceMs) / FADE_MS;
+    if (share >= 1) {
+      this.#dropLeaving();
+    } else {
+      leaving.instruments.group.visible = this.#settings.tools;
+      leaving.instruments.fade(1 - share);
+    }
+    this.#dirty = true;
+  }
+
+  #dropLeaving(): void {
+    this.#leaving?.instruments.group.removeFromParent();
+    this.#leaving?.instruments.dispose();
+    this.#leaving = null;
+  }
+
   #clear(): void {
+    if (this.#instruments !== null) {
+      this.#dropLeaving();
+      this.#leaving = { instruments: this.#instruments, sinceMs: null };
+      this.#instruments = null;
+    }
     this.#freeObjects();
     this.#forces = [];
     this.#range = null;
