@@ -38,7 +38,7 @@ LoopOptions within(const DeviceInfo& info, LoopOptions options) {
   bind(options.torque.max_damping_n_m_s, stated(info.max_angular_damping_n_m_s));
   bind(options.jaws.max_torque_n_m, stated(info.max_jaw_torque_n_m));
   bind(options.jaws.max_damping_n_m_s, stated(info.max_jaw_damping_n_m_s));
-  // Power that is not a share is none: nothing burns by mistake.
+  // Power outside of 0 to 1 counts as zero: nothing burns by mistake.
   if (!(options.power_level >= 0.0 && options.power_level <= 1.0)) options.power_level = 0.0;
   if (options.client_id == 0) options.client_id = random_id();
   if (options.session == 0) options.session = random_id();

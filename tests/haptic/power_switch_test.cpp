@@ -92,7 +92,7 @@ TEST(PowerInTheLoop, WithoutAPressNoPoseIsAdded) {
   EXPECT_EQ(bench.run(5, [] {}), Levels(5, 0.0));
 }
 
-TEST(PowerInTheLoop, ALevelThatIsNoShareIsNone) {
+TEST(PowerInTheLoop, ALevelOutsideOfItsRangeIsZero) {
   for (const double wrong : {-0.1, 1.5, std::numeric_limits<double>::quiet_NaN()}) {
     Bench bench;
     EXPECT_EQ(bench.run(

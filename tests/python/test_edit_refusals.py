@@ -66,7 +66,7 @@ def scene_of(text: str = SCENE) -> tm.Scene:
 
 @contextlib.contextmanager
 def edited(server: tm.Server, name: str) -> Iterator[tm.SceneHandle]:
-    """A scene in lockstep of which some elements and springs are gone already."""
+    """A scene in lockstep that has lost some elements and springs already."""
     with server.load(scene_of(), name=name, lockstep=True) as scene:
         scene.step(3)
         scene.edit(ablate={"lobe": [3, 4]})

@@ -19,11 +19,11 @@ export interface Kind {
   readonly tool: Tool;
 }
 
-/** Where new tools stand. */
+/** The place of new tools. */
 export interface Place {
   /** Above the middle of the tissue. */
   readonly positionM: Vector;
-  /** Of the tissue. */
+  /** The tissue's. */
   readonly radiusM: number;
 }
 
