@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include "core/assert.h"
+#include "model/coagulation.h"
 #include "model/values.h"
 #include "physics/element/element.h"
 #include "physics/lists.h"
@@ -66,6 +67,7 @@ Editor::Editor(const Model& m)
     surface.appended_vertices.reserve(std::min(tables().max_new_vertices, kUsualSurface));
     surface.appended_triangles.reserve(std::min(tables().max_new_triangles, kUsualSurface));
     surface.appended_kinds.reserve(std::min(tables().max_new_triangles, kUsualSurface));
+    surface.coagulation.reserve(m.bodies[b].vertex_count + std::min(tables().max_new_vertices, kUsualSurface));
   }
   if (!skin.empty()) {
     heal_skin();
@@ -75,6 +77,10 @@ Editor::Editor(const Model& m)
     tearing_met_.assign(is_torn_.size(), 0);
     foot_met_.assign(skin.feet.size(), 0);
     piece_met_.assign(skin.piece_element.size(), 0);
+  }
+  if (has_clients()) {
+    element_coagulation_.assign(kept_.size(), 0);
+    row_coagulation_.assign(m.layout.row_count, 0);
   }
   gone_.reserve(kept_.size());
   batches_.reserve(kept_.size());
@@ -133,6 +139,7 @@ Result<void> Editor::check(const Model& m, std::span<const Ablation> ablations) 
 const ModelEdit& Editor::ablate(Model& m, std::span<const Ablation> ablations) {
   write(m, ablations);
   write_surfaces(m);
+  coagulate(m);
   return edit_;
 }
 
@@ -256,6 +263,9 @@ const ModelEdit& Editor::write(Model& m, std::span<const Ablation> shares) {
     const bool was_gone = is_gone(e);
     const double lost = kept_[e] - one.kept;
     kept_[e] = one.kept;
+    if (!m.stiffening.empty()) {
+      m.stiffening[e] = stiffening(one.kept, m.bodies[m.body_of_element(e)].coagulated_stiffness_factor);
+    }
     if (is_gone(e) != was_gone) live_of_body_[m.body_of_element(e)] += was_gone ? 1u : ~0u;
     if (is_gone(e) && !was_gone) went_.push_back(e);
     elements_.push_back(e);
@@ -293,18 +303,24 @@ const ModelEdit& Editor::write(Model& m, std::span<const Ablation> shares) {
   return edit_;
 }
 
-/// Writes an element's own record: its rest shape with weights times its share.
+/// Returns κ C(κ) of an element: the share of its energy and force that is left.
+double Editor::stiffness_left(const Model& m, std::uint32_t element) const {
+  const double kept = kept_[element];
+  return kept * stiffening(kept, m.bodies[m.body_of_element(element)].coagulated_stiffness_factor);
+}
+
+/// Writes an element's own record: its rest shape with weights times the share of its stiffness.
 void Editor::write_record(Model& m, std::uint32_t element) {
   const std::uint32_t g = tables().record_group[element];
   const EditTables::Group& loaded = tables().groups[g];
   const ElementGroup& group = m.groups[g];
   const std::size_t components = loaded.rest.size() / group.stride, reals = components / group.point_count;
   const std::uint32_t place = tables().places[element].front();
-  const double kept = kept_[element];
+  const double left = stiffness_left(m, element);
   rest_.assign(components, 0);
   for (std::size_t c = 0; !is_gone(element) && c < components; ++c) {
     const double value = loaded.rest[c * group.stride + place];
-    rest_[c] = c % reals == reals - 1 ? kept * value : value;
+    rest_[c] = c % reals == reals - 1 ? left * value : value;
   }
   store_rest(m, element, is_gone(element));
 }
@@ -321,14 +337,14 @@ void Editor::write_cluster(Model& m, std::uint32_t record) {
   double volume = 0;
   std::size_t count = 0;
   for (const EditTables::Member& member : tables().members[record - tables().element_count()]) {
-    const double kept = kept_[member.element];
-    if (!(kept > 0)) continue;
+    const double left = stiffness_left(m, member.element);
+    if (!(left > 0)) continue;
     for (std::uint32_t i = member.gradient_begin; i < member.gradient_end; ++i) {
-      mean[tables().gradient_nodes[i]] += tables().gradients[i] * kept;
+      mean[tables().gradient_nodes[i]] += tables().gradients[i] * left;
     }
     members[count] = member.element;
-    parts[count++] = kept * member.volume_m3;
-    volume += kept * member.volume_m3;
+    parts[count++] = left * member.volume_m3;
+    volume += left * member.volume_m3;
   }
   rest_.assign(physics::kRestReals<ClusterShape>, 0);
   if (volume > 0) {

@@ -24,6 +24,8 @@
 ///
 ///   V = Σ_e κ_e V_e      ā_k = (Σ_e κ_e V_e ∇N_k) / V
 ///
+/// Where tissue coagulates (coagulation.h), weights of quadrature points and means of clusters have κ C(κ) for κ.
+///
 /// 1. Every value is computed anew from the shares of the elements that it sums over, and never updated by a
 ///    difference. So nothing drifts, and a scene that is healed has the bits with which it was loaded.
 /// 2. An element without material has zero weight and zero gradients, and all of its rows are the first one: it does
@@ -60,6 +62,7 @@ struct BodySurface {
   std::vector<std::uint32_t> appended_vertices;    ///< places among the visible points
   std::vector<mesh::Triangle> appended_triangles;  ///< vertices numbered in the body
   std::vector<Face> appended_kinds;                ///< [appended triangle]
+  std::vector<std::uint8_t> coagulation;           ///< [vertex] coagulation_seen; empty: all tissue is raw
 };
 
 /// The vectors of a model that with_values changes and edits do not, for an edited model.
@@ -126,8 +129,10 @@ class Editor {
   double removed_volume_m3() const { return removed_volume_m3_; }
   /// [body] empty if the scene has no frames
   std::span<const BodySurface> surfaces() const { return surfaces_; }
-  /// Grows with each change of the visible surface.
+  /// Grows with each change of the visible surface, its colour included.
   std::uint32_t surface_revision() const { return surface_revision_; }
+  /// Grows with each change of the surface's triangles.
+  std::uint32_t shape_revision() const { return shape_revision_; }
   /// Calls visit(corners) for each triangle around what is left of a body with a skin. Corners are vertices of
   /// surfaces(); a node that clients do not see is where the nearest vertex of the skin is. So the triangles are
   /// closed, also where skin and boundary are apart.
@@ -201,6 +206,9 @@ class Editor {
   void show(Model& m, std::uint32_t piece, std::size_t body, Face kind);
   void kill(std::size_t body, std::uint32_t triangle);
   std::uint32_t surface_vertex(Model& m, std::uint32_t row);
+  void coagulate(const Model& m);
+  void pale(const Model& m, std::size_t body, std::uint32_t vertex, std::uint8_t seen);
+  double stiffness_left(const Model& m, std::uint32_t element) const;
   void list_triangle(std::uint32_t triangle);
   void touch_vertex(std::uint32_t vertex);
   void find_neighbours(Model& m, std::uint32_t triangle);
@@ -230,7 +238,9 @@ class Editor {
   std::vector<std::uint32_t> surface_vertex_;                   // [row]
   std::vector<std::uint32_t> piece_visible_, visible_vertex_;   // [piece], [row]
   std::vector<BodySurface> surfaces_;
-  std::uint32_t appended_triangles_ = 0, surface_revision_ = 0;
+  std::uint32_t appended_triangles_ = 0, surface_revision_ = 0, shape_revision_ = 0;
+  std::vector<std::uint8_t> element_coagulation_, row_coagulation_;  // [element], [row] coagulation_seen
+  bool pales_ = false;                                               // the present edit changes a vertex's colour
 
   // Skins, numbered as SkinTables.
   std::vector<std::uint8_t> is_torn_;         // [triangle]

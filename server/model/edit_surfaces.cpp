@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 
 #include "core/assert.h"
+#include "model/coagulation.h"
 #include "model/edit.h"
 
 /// The surfaces of a scene that is edited: what tools can touch, and what clients see.
@@ -118,7 +119,44 @@ void Editor::write_surfaces(Model& m) {
     add(EditBuffer::kIncidence, 4 * begin, 4 * (m.contact.incidence_begin[vertex + 1] - begin));
     add(EditBuffer::kIncidenceEnd, vertex, 1);
   }
-  if (has_clients()) ++surface_revision_;
+  if (has_clients()) ++surface_revision_, ++shape_revision_;
+}
+
+/// Pales the vertices around elements that the present edit has heated, and around those that are gone. Tissue stays
+/// coagulated until it is healed.
+void Editor::coagulate(const Model& m) {
+  if (!has_clients()) return;
+  pales_ = false;
+  for (const std::uint32_t element : elements_) {
+    const std::uint8_t seen = coagulation_seen(kept_[element]);
+    if (seen <= element_coagulation_[element]) continue;
+    element_coagulation_[element] = seen;
+    const std::size_t body = m.body_of_element(element);
+    for (const std::uint32_t row : tables().rows[element]) {
+      row_coagulation_[row] = std::max(row_coagulation_[row], seen);
+      if (visible_vertex_[row] != kNone) pale(m, body, visible_vertex_[row], seen);
+    }
+    const SkinTables& skin = tables().skin;
+    if (skin.empty() || !m.bodies[body].has_skin) continue;
+    for (const std::uint32_t t : skin.hanging[element]) {
+      for (const std::uint32_t vertex : m.bodies[body].triangles[t - skin.triangle_begin[body]]) {
+        pale(m, body, vertex, seen);
+      }
+    }
+  }
+  if (pales_) ++surface_revision_;
+}
+
+/// Makes a vertex of a body as pale as coagulation that is seen, unless it is paler.
+void Editor::pale(const Model& m, std::size_t body, std::uint32_t vertex, std::uint8_t seen) {
+  if (seen == 0) return;
+  BodySurface& surface = surfaces_[body];
+  const std::size_t count = m.bodies[body].vertex_count + surface.appended_vertices.size();
+  if (surface.coagulation.size() < count) surface.coagulation.resize(count, 0);
+  std::uint8_t& present = surface.coagulation[vertex];
+  if (seen <= present) return;
+  present = seen;
+  pales_ = true;
 }
 
 void Editor::hide(Model& m, std::uint32_t face) {
@@ -170,7 +208,10 @@ std::uint32_t Editor::append_vertex(Model& m, std::size_t body, const std::array
   std::copy(weights.begin(), weights.end(), m.visible.weights.begin() + 4 * static_cast<std::ptrdiff_t>(point));
   add(EditBuffer::kVisibleRows, 4 * point, 4);
   add(EditBuffer::kVisibleWeights, 4 * point, 4);
-  return m.bodies[body].vertex_count + static_cast<std::uint32_t>(appended.size()) - 1;
+  const auto vertex = m.bodies[body].vertex_count + static_cast<std::uint32_t>(appended.size()) - 1;
+  // A row that comes to light may have coagulated before. The other points lie between rows, below a skin.
+  if (weights[0] == 1) pale(m, body, vertex, row_coagulation_[rows[0]]);
+  return vertex;
 }
 
 /// Returns the number of the new triangle in its body.
@@ -321,14 +362,20 @@ const ModelEdit& Editor::heal_surfaces(Model& m) {
     write_triangle_moduli(m);
   }
   bool changed = false;
+  pales_ = false;
+  std::fill(element_coagulation_.begin(), element_coagulation_.end(), std::uint8_t{0});
+  std::fill(row_coagulation_.begin(), row_coagulation_.end(), std::uint8_t{0});
   for (BodySurface& surface : surfaces_) {
     // A hole inside of a body appends triangles, and none dies.
     changed = changed || !surface.dead_triangles.empty() || !surface.appended_triangles.empty();
+    pales_ = pales_ || !surface.coagulation.empty();
+    surface.coagulation.clear();
     surface.dead_triangles.clear();
     surface.appended_vertices.clear();
     surface.appended_triangles.clear();
     surface.appended_kinds.clear();
   }
+  if (changed || pales_) ++surface_revision_;
   if (!changed) return edit_;
   piece_visible_ = tables().piece_visible;
   visible_vertex_ = tables().visible_vertex;
@@ -339,7 +386,7 @@ const ModelEdit& Editor::heal_surfaces(Model& m) {
   add(EditBuffer::kVisibleRows, first, count);
   add(EditBuffer::kVisibleWeights, first, count);
   m.visible.appended_count = appended_triangles_ = 0;
-  ++surface_revision_;
+  ++shape_revision_;
   return edit_;
 }
 

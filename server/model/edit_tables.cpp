@@ -449,6 +449,10 @@ Result<void> make_editable(const EditTablesInput& input, Model& model) {
                    " yet; leave one of the two out");
   }
   model.edit_tables = std::make_shared<const EditTables>(TablesMaker(input, model).make());
+  const auto stiffens = [](const BodyModel& body) { return body.coagulated_stiffness_factor > 1; };
+  if (std::any_of(model.bodies.begin(), model.bodies.end(), stiffens)) {
+    model.stiffening.assign(model.edit_tables->element_count(), 1);
+  }
   Editor(model).write_all(model);
   return {};
 }

@@ -256,6 +256,7 @@ struct AdmittedBody {
   double volume_m3 = 0, mass_kg = 0, min_dihedral_angle_deg = 0;
   double ablation_j_per_m3 = 0;            ///< energy that takes the material out of a volume
   double fracture_toughness_j_per_m2 = 0;  ///< work that cuts an area
+  double coagulated_stiffness_factor = 1;  ///< coagulation.h
   bool has_color = false;
   Vec3<double> color_srgb = Vec3<double>::Zero();
 
@@ -423,7 +424,9 @@ struct Model : Settings {
   FreeBodies free_bodies;                      ///< empty: no step balances momentum
   VisibleSurface visible;                      ///< empty: no frames
   std::vector<VisibleAttachment> attachments;  ///< empty: no frames, or no attachments
-  std::vector<double> element_moduli;          ///< [element, 2] ContactView::triangle_moduli; empty: no editing
+  /// [element] stiffness of its material over that of its law (coagulation.h); empty: all 1
+  std::vector<double> stiffening;
+  std::vector<double> element_moduli;  ///< [element, 2] ContactView::triangle_moduli; empty: no editing
   /// What other values of the scene are made from (values.h). Never null.
   std::shared_ptr<const ValueTables> value_tables;
   /// What edits start from (edit.h); nullptr: the scene never changes.

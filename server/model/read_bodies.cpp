@@ -7,6 +7,7 @@
 #include "mesh/curve.h"
 #include "mesh/elevate.h"
 #include "mesh/shapes.h"
+#include "model/coagulation.h"
 #include "model/cut_bodies.h"
 #include "model/read_parts.h"
 #include "model/scene_input.h"
@@ -141,8 +142,13 @@ Result<void> read_body(const v1::Scene& scene, const Progress& progress, ReadBod
       body.has_fracture_toughness_j_per_m2() ? body.fracture_toughness_j_per_m2() : kDefaultToughnessJPerM2;
   TM_ASSIGN_OR_RETURN(toughness_j_per_m2, read_number(toughness, 1e-2, 1e6, where + ".fracture_toughness_j_per_m2"));
 
+  const double coagulated = body.has_coagulated_stiffness_factor() ? body.coagulated_stiffness_factor() : 1;
+  TM_ASSIGN_OR_RETURN(stiffness_factor,
+                      read_number(coagulated, 1, kMaxCoagulatedStiffness, where + ".coagulated_stiffness_factor"));
+
   ReadBody out;
   out.name = body.name();
+  out.coagulated_stiffness_factor = stiffness_factor;
   out.ablation_j_per_m3 = ablation_j_per_m3;
   out.fracture_toughness_j_per_m2 = toughness_j_per_m2;
   out.node_count = out.loaded_node_count = report.node_count;

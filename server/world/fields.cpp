@@ -147,6 +147,10 @@ Measured measure(const model::Model& m, const backend::RowState& state,
       }
     });
   }
+  // The law gives the stress of raw tissue.
+  for (std::uint32_t e = 0; !m.stiffening.empty() && e < body.element_count; ++e) {
+    for (double& stress : measured.cauchy[e]) stress *= m.stiffening[body.element_begin + e];
+  }
   for (double& det_f : measured.det_f) {
     if (std::isinf(det_f)) det_f = 1;  // an edit took all of its material
   }

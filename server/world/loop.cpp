@@ -407,6 +407,8 @@ void Loop::take_edits() {
   SurfaceChangesPointer changes = surface_.take(model(), *world_->editor());
   if (changes == nullptr) return;
   outputs_.set_changes(std::move(changes));
+  // Clients get no event of tissue that only pales.
+  if (std::exchange(told_shape_, world_->editor()->shape_revision()) == world_->editor()->shape_revision()) return;
   const std::span<const RemovedTissue> removed = world_->removed();
   for (std::size_t i = 0; i < removed.size(); ++i) {
     const RemovedTissue& of_body = removed[i];

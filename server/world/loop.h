@@ -264,7 +264,8 @@ class Loop {
   const std::shared_ptr<SceneCounts> counts_ = std::make_shared<SceneCounts>();
   LoopOutputs outputs_;
   SurfaceChangesMaker surface_;
-  std::vector<double> told_m3_;  // [body] removed volume at the last event; empty: the scene has no editing
+  std::vector<double> told_m3_;   // [body] removed volume at the last event; empty: the scene has no editing
+  std::uint32_t told_shape_ = 0;  // Editor::shape_revision at the last event
   LoopStatus status_;
   std::mutex mutex_;
   std::condition_variable wake_;

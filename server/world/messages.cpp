@@ -217,6 +217,7 @@ void fill_changes(const ChangesSlot& slot, v1::SurfaceChanges& out) {
     to.set_appended_vertices(packed(std::span<const std::uint32_t>(body.appended_vertices)));
     to.set_appended_triangles(packed(std::span<const mesh::Triangle>(body.appended_triangles)));
     to.set_appended_kinds(packed(std::span<const std::uint8_t>(body.appended_kinds)));
+    to.set_coagulation(packed(std::span<const std::uint8_t>(body.coagulation)));
   }
 }
 

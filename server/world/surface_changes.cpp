@@ -24,6 +24,7 @@ SurfaceChangesMaker::SurfaceChangesMaker(const model::Model& model) {
       body.appended_vertices.reserve(std::min<std::size_t>(tables.max_new_vertices, kUsual));
       body.appended_triangles.reserve(triangles);
       body.appended_kinds.reserve(triangles);
+      body.coagulation.reserve(model.bodies[b].vertex_count + std::min<std::size_t>(tables.max_new_vertices, kUsual));
     }
   }
 }
@@ -49,6 +50,11 @@ SurfaceChangesPointer SurfaceChangesMaker::take(const model::Model& model, const
     // A frame has the ends of springs apart from its vertices.
     for (std::uint32_t& vertex : body.appended_vertices) vertex -= model.visible.attachment_point_count();
     body.appended_triangles = surfaces[b].appended_triangles;
+    body.coagulation = surfaces[b].coagulation;
+    // Vertices that were appended since then are raw.
+    if (!body.coagulation.empty()) {
+      body.coagulation.resize(model.bodies[b].vertex_count + body.appended_vertices.size(), 0);
+    }
     body.appended_kinds.resize(surfaces[b].appended_kinds.size());
     std::transform(surfaces[b].appended_kinds.begin(), surfaces[b].appended_kinds.end(), body.appended_kinds.begin(),
                    [](model::Face kind) { return static_cast<std::uint8_t>(kind); });

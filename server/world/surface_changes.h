@@ -22,6 +22,8 @@ struct BodyChanges {
   std::vector<mesh::Triangle> appended_triangles;
   /// [appended triangle] v1::BodyChanges::Face: 0 outer surface, 1 cut face, 2 burnt face
   std::vector<std::uint8_t> appended_kinds;
+  /// [vertex, appended ones last] v1::BodyChanges::coagulation; empty: all tissue is raw
+  std::vector<std::uint8_t> coagulation;
 };
 
 struct SurfaceChanges {

@@ -69,9 +69,9 @@ void World::apply(std::span<const model::Ablation> ablations, std::uint32_t tool
     removed.position_m.reset();
     if (tool != SceneEvent::kNone) removed.position_m = tip_m(tool);
   }
-  const std::uint32_t revision = editor_->surface_revision();
+  const std::uint32_t revision = editor_->shape_revision();
   state_->apply(editor_->ablate(*edited_, ablations));
-  if (editor_->surface_revision() != revision) take_edited_surfaces();
+  if (editor_->shape_revision() != revision) take_edited_surfaces();
 }
 
 /// Lets tools with power burn the element at their tip, at the end of a step: the next one has less of it.

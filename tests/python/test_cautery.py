@@ -75,6 +75,43 @@ def test_burns_what_the_energy_takes(server: tm.Server) -> None:
         assert len(scene.frame().triangles("block")) == 2 * 2 * (6 * 6 + 2 * 6 * 3)
 
 
+def test_little_power_coagulates_and_burns_nothing_away(server: tm.Server) -> None:
+    scene_message = block()
+    scene_message.body("block").coagulated_stiffness_factor = 5
+    with server.load(scene_message, lockstep=True) as scene, scene.frames(timeout_s=DEADLINE_S) as frames:
+        scene.move_tool("hook", PRESSED_M)
+        scene.step(60)
+        raw = scene.frame()
+        assert not raw.coagulation("block").any()
+        whole = raw.triangles("block")
+        press_n = scene.feedback("hook").force_n[2]
+        # A fifth of the energy that removes the element at the tip.
+        joules = 0.2 * ABLATION_J_PER_M3 * ELEMENT_M3
+        level = joules / (POWER_W * EFFICIENCY * 30 / 60)
+        for _ in range(30):
+            scene.move_tool("hook", PRESSED_M, level=level)
+            scene.step()
+        scene.move_tool("hook", PRESSED_M)
+        scene.step(60)
+        heated = scene.frame()
+        pale = heated.coagulation("block")
+        assert set(np.unique(pale * 3).round().tolist()) <= {0, 1, 2, 3}
+        assert pale.max() == 1
+        near = np.linalg.norm(raw.vertices("block") - [0.031, 0.029, 0.03], axis=1) < 0.02
+        assert not pale[~near].any()
+        assert (heated.triangles("block") == whole).all()
+        assert scene.status().removed_volume_m3 == pytest.approx(joules / ABLATION_J_PER_M3, rel=1e-6)
+        assert scene.feedback("hook").force_n[2] > 1.02 * press_n, "it is stiffer"
+        # Readers of the stream see it, too: those that were there, and those that come late.
+        with scene.frames(timeout_s=DEADLINE_S) as late:
+            for stream in (frames, late):
+                scene.step()
+                seen = next(frame for frame in stream if frame.step >= heated.step)
+                assert (seen.coagulation("block") == pale).all()
+        scene.reset()
+        assert not scene.frame().coagulation("block").any()
+
+
 def test_a_hand_steps_on_the_pedal(server: tm.Server, tmp_path: Path) -> None:
     file = tmp_path / "hand.yaml"
     file.write_text(

@@ -44,6 +44,10 @@ def test_a_surface_leaves_out_what_is_dead_and_has_what_was_appended() -> None:
     assert surface.is_changed
     # A frame from before: the appended triangle waits for its vertex.
     assert len(surface.triangles(0, 2 * FAN)[0]) == FAN - 3
+    assert not surface.parts[0].coagulation.any()
+    pale = Surface(topology, changes(body_changes(coagulation=bytes([255] * (FAN + 1))), NOTHING))
+    assert (pale.parts[0].coagulation == 255).all()
+    assert pale.parts[1].coagulation.tolist() == [0] * FAN
     unknown = Surface(topology, changes(body_changes(appended_kinds=b"\x09"), NOTHING))
     assert unknown.triangles(0, 2 * FAN + 1)[1][-1] == 0
     assert not Surface(topology, changes(revision=9, appended=0)).is_changed
@@ -62,6 +66,7 @@ def test_a_surface_leaves_out_what_is_dead_and_has_what_was_appended() -> None:
         (changes(NOTHING, body_changes(appended_triangles=packed([0, FAN + 1, 1]))), "'right': .* vertex 41 of 41"),
         (changes(body_changes(appended_triangles=packed([0, 1])), NOTHING), "8 bytes of appended_triangles"),
         (changes(body_changes(appended_kinds=b"\1\1"), NOTHING), "2 kinds of 1 appended triangles"),
+        (changes(body_changes(coagulation=b"\1"), NOTHING), f"coagulation of 1 of {FAN + 1} vertices"),
     ],
 )
 def test_changes_that_do_not_fit_are_refused(message: changes_pb2.SurfaceChanges, said: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import subprocess
@@ -229,6 +230,28 @@ def test_a_burnt_face_is_dark_and_what_is_dead_is_gone(plotter: Any) -> None:  #
         assert (np.abs(shot - before).max(axis=2) > 40).sum() > 100 if is_dark else True
     picture.update(frame(3, 0.01))
     assert picture.largest_displacement_m == pytest.approx(0.01, rel=1e-5)
+
+
+def test_coagulated_tissue_is_pale(plotter: Any) -> None:  # noqa: ANN401
+    plain = frame(1, 0.0)
+    picture = Picture(plotter, plain, None)
+    revisions = itertools.count(1)
+
+    def pale_pixels(coagulation: bytes) -> int:
+        changes = changes_pb2.SurfaceChanges(topology_version=1, revision=next(revisions))
+        message = stream_pb2.Frame(
+            topology_version=1, step=2, revision=changes.revision, positions=plain.positions.tobytes()
+        )
+        changes.bodies.add(coagulation=coagulation)
+        picture.update(tm.Frame.from_message(message, plain.topology, Surface(plain.topology, changes)))
+        plotter.render()
+        red, green, blue = np.moveaxis(plotter.screenshot().astype(int), 2, 0)
+        return int(((red > green) & (green > blue) & (red - blue > 20) & (blue > 60)).sum())
+
+    raw = pale_pixels(b"")
+    assert pale_pixels(bytes([255, 255, 85, 0])) == raw, "no triangle has three pale corners"
+    assert pale_pixels(bytes([255] * 4)) > raw + 100
+    assert pale_pixels(b"") == raw
 
 
 @pytest.fixture

@@ -85,6 +85,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     first.color_srgb.x = 0.5
     first.ablation_j_per_m3 = 2e9
     first.fracture_toughness_j_per_m2 = 200
+    first.coagulated_stiffness_factor = 4
     first.mesh.scale = 1.0
     first.mesh.translation_m.x = 0.25
     first.fixed.add().sphere.radius_m = 1e-3

@@ -27,11 +27,13 @@ struct EditedBeam {
   bool viscoelastic = false;
   v1::Solver::Integrator integrator = v1::Solver::INTEGRATOR_IMPLICIT_EULER;
   std::uint32_t cells = 3, threads = 2;
+  double coagulated_stiffness_factor = 1;
 
   friend void PrintTo(const EditedBeam& of, std::ostream* out) {
     *out << v1::Shape_Name(of.shape) << " " << of.law << " " << v1::Quadrature_Name(of.quadrature)
          << (of.double_precision ? " double" : " float") << (of.consistent_mass ? " consistent" : "")
-         << (of.viscoelastic ? " viscoelastic" : "") << " " << v1::Solver::Integrator_Name(of.integrator);
+         << (of.viscoelastic ? " viscoelastic" : "") << (of.coagulated_stiffness_factor > 1 ? " stiffening" : "") << " "
+         << v1::Solver::Integrator_Name(of.integrator);
   }
 };
 
@@ -53,6 +55,7 @@ inline v1::Scene edited_beam(const EditedBeam& of) {
   body.set_mass(of.consistent_mass ? v1::MASS_CONSISTENT : v1::MASS_LUMPED);
   body.set_rayleigh_mass_per_s(0.1);
   body.set_rayleigh_stiffness_s(0.002);
+  if (of.coagulated_stiffness_factor > 1) body.set_coagulated_stiffness_factor(of.coagulated_stiffness_factor);
   if (of.viscoelastic) {
     v1::PronyTerm& term = *body.mutable_law()->add_prony();
     term.set_share(0.3);

@@ -18,11 +18,12 @@ namespace {
 constexpr double kPowerW = 40, kEfficiency = 0.25, kAblationJPerM3 = 2e6, kDtS = 0.01;
 
 /// A block under a probe with power. An element takes a few steps to burn.
-v1::Scene burnable_block(bool in_double = true) {
+v1::Scene burnable_block(bool in_double = true, double coagulated_stiffness_factor = 5) {
   v1::Scene scene = tests::block_with_probe(in_double);
   scene.mutable_stepping()->set_lockstep(true);
   scene.mutable_stepping()->set_dt_s(kDtS);
   scene.mutable_bodies(0)->set_ablation_j_per_m3(kAblationJPerM3);
+  scene.mutable_bodies(0)->set_coagulated_stiffness_factor(coagulated_stiffness_factor);
   v1::Cautery& cautery = *scene.mutable_tools(0)->mutable_cautery();
   cautery.set_power_w(kPowerW);
   cautery.set_efficiency(kEfficiency);

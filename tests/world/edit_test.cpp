@@ -46,6 +46,11 @@ std::vector<EditedBeam> beams() {
   out.push_back({.viscoelastic = true, .integrator = v1::Solver::INTEGRATOR_BDF2});
   out.push_back({.integrator = v1::Solver::INTEGRATOR_QUASI_STATIC});
   out.push_back({.law = "hooke", .integrator = v1::Solver::INTEGRATOR_QUASI_STATIC});
+  out.push_back({.coagulated_stiffness_factor = 4});
+  out.push_back({.law = "hooke",
+                 .quadrature = v1::QUADRATURE_SELECTIVE,
+                 .double_precision = false,
+                 .coagulated_stiffness_factor = 7});
   out.push_back({.double_precision = false, .consistent_mass = true, .integrator = v1::Solver::INTEGRATOR_BDF2});
   return out;
 }

@@ -39,6 +39,9 @@ describe("decodeChanges", () => {
     expect(vein!.faces).toHaveLength(0);
     const unknown = { ...BURNT, appendedKinds: Uint8Array.of(200) };
     expect([...decodeChanges(changesBytes({ bodies: [unknown, {}] }), topology).bodies[0]!.faces]).toEqual([0]);
+    const pale = { ...BURNT, coagulation: Uint8Array.of(0, 85, 170, 255, 255) };
+    expect([...liver!.coagulation]).toEqual([]);
+    expect([...decodeChanges(changesBytes({ bodies: [pale, {}] }), topology).bodies[0]!.coagulation]).toEqual([0, 85, 170, 255, 255]);
     expect(decodeChanges(changesBytes({ bodies: [], appendedVertexCount: 0 }), topology).bodies).toEqual([]);
   });
 
@@ -52,6 +55,7 @@ describe("decodeChanges", () => {
     ["appended vertex 0 names place 8 of 8", { bodies: [{ ...BURNT, appendedVertices: u32(8) }, {}] }],
     ["appended triangle 0 names vertex 5 of 5", { bodies: [{ ...BURNT, appendedTriangles: u32(0, 1, 5) }, {}] }],
     ["8 bytes are not a multiple of 12", { bodies: [{ ...BURNT, appendedTriangles: u32(0, 1) }, {}] }],
+    ["coagulation of 4 of 5 vertices", { bodies: [{ ...BURNT, coagulation: Uint8Array.of(1, 2, 3, 4) }, {}] }],
     ["2 kinds of 1 appended triangles", { bodies: [{ ...BURNT, appendedKinds: Uint8Array.of(1, 1) }, {}] }],
   ] satisfies [string, Fields<typeof SurfaceChangesSchema>][])("refuses: %s", (said, change) => {
     expect(() => decodeChanges(changesBytes(change), topology)).toThrow(said);
@@ -113,6 +117,27 @@ describe("Tissue that changes", () => {
     tissue.change(null);
     tissue.update(at(7));
     expect(drawn(tissue)).toEqual(all);
+    tissue.dispose();
+  });
+
+  it("pales coagulated tissue, keeps burnt faces dark, and is raw again after a reset", () => {
+    const tissue = new Tissue(topology, at(7), 1, LOW);
+    const body = tissue.group.children[0] as THREE.Mesh<THREE.BufferGeometry, THREE.MeshStandardMaterial>;
+    const colours = body.geometry.getAttribute("color");
+    const raw = [...colours.array];
+    const shown = (vertex: number) =>
+      [0, 1, 2].map((c) => colours.getComponent(vertex, c) * ("color" in body.material ? body.material.color.toArray()[c]! : 1));
+    const pale = { ...BURNT, coagulation: Uint8Array.of(0, 255, 85, 0, 255) };
+    tissue.change(decodeChanges(changesBytes({ bodies: [pale, {}] }), topology));
+    tissue.update(at(8));
+    const whole = new THREE.Color("#cdb8a0").toArray();
+    shown(1).forEach((channel, c) => expect(channel).toBeCloseTo(whole[c]!, 3));
+    expect([...colours.array].slice(0, 3)).toEqual(raw.slice(0, 3));
+    expect(shown(2)[1]).toBeGreaterThan(raw[7]! * body.material.color.g);
+    expect(shown(2)[1]).toBeLessThan(whole[1]!);
+    expect(drawn(tissue)).toContain("liver burnt 0 2 7");
+    tissue.change(null);
+    expect([...colours.array]).toEqual(raw);
     tissue.dispose();
   });
 

@@ -34,6 +34,8 @@ class Part(NamedTuple):
     """[vertices of the body, appended ones last]: the place of each in Frame.positions."""
     last_places: npt.NDArray[np.int64]
     """[n]: the largest place of a triangle's vertices."""
+    coagulation: npt.NDArray[np.uint8]
+    """[vertices of the body, appended ones last]: how far the tissue is coagulated, 0 to 255."""
 
 
 class Surface:
@@ -142,6 +144,10 @@ def check(changes: changes_pb2.SurfaceChanges, topology: stream_pb2.Topology) ->
             raise ValueError(
                 f"{where}: an appended triangle names vertex {corners.max()} of {body.vertex_count + len(places)}"
             )
+        if len(change.coagulation) not in (0, body.vertex_count + len(places)):
+            raise ValueError(
+                f"{where}: coagulation of {len(change.coagulation)} of {body.vertex_count + len(places)} vertices"
+            )
 
 
 def _numbers(where: str, name: str, packed: bytes, per_item: int) -> npt.NDArray[np.int64]:
@@ -164,4 +170,5 @@ def _part(body: stream_pb2.BodySurface, change: changes_pb2.BodyChanges, first: 
         [np.arange(first, first + body.vertex_count), np.frombuffer(change.appended_vertices, "<u4")]
     ).astype(np.int64)
     last = places[triangles].max(axis=1) if len(triangles) else np.empty(0, np.int64)
-    return Part(triangles, faces, places, last)
+    coagulation = np.frombuffer(change.coagulation, np.uint8) if change.coagulation else np.zeros(len(places), np.uint8)
+    return Part(triangles, faces, places, last, coagulation)

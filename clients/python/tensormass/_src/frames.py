@@ -177,6 +177,13 @@ class Frame:
         """Returns what each of the `triangles` shows, [triangle_count]: 0 outer surface, 1 cut face, 2 burnt face."""
         return self.surface.triangles(self._place(body), len(self.positions))[1]
 
+    def coagulation(self, body: str) -> npt.NDArray[np.float64]:
+        """Returns how far the tissue at each of the `vertices` is coagulated, [vertex_count], 0 (raw) to 1.
+
+        Cautery coagulates tissue before it burns it away. It steps by thirds.
+        """
+        return self.surface.parts[self._place(body)].coagulation / 255
+
     def _place(self, body: str) -> int:
         names = [surface.name for surface in self.topology.bodies]
         return names.index(find_body(self.topology, body).name)

@@ -18,7 +18,14 @@ _STEEL = "#d5dce2"
 _OBSTACLE = "#5d6a75"
 _AMBER = "#ffb000"
 # Faces that were made while the scene stepped.
-_FACE_COLORS = {changes_pb2.BodyChanges.FACE_CUT: "#a8433b", changes_pb2.BodyChanges.FACE_BURNT: "#2b1c16"}
+_COAGULATED = 255  # beside the numbers of BodyChanges.Face
+_FACE_COLORS = {
+    changes_pb2.BodyChanges.FACE_CUT: "#a8433b",
+    changes_pb2.BodyChanges.FACE_BURNT: "#2b1c16",
+    _COAGULATED: "#cdb8a0",
+}
+# Coagulation of all three corners from which on a triangle is pale.
+_PALE = 128
 _RETIRED_OPACITY = 0.25
 _LIGAMENT = "#e3bfa0"
 _STRAND_WIDTH = 4  # pixels
@@ -82,6 +89,7 @@ class Picture:
             points = surface.vertices(i, frame.positions)
             if anew:
                 triangles, faces = surface.triangles(i, count)
+                faces = _with_pale(triangles, faces, surface.parts[i].coagulation)
                 self._show_faces(i, points, triangles, faces)
                 mesh.copy_from(_mesh_of(points, triangles[~np.isin(faces, list(_FACE_COLORS))]))
             mesh.points = points
@@ -126,7 +134,7 @@ class Picture:
         triangles: npt.NDArray[np.uint32],
         faces: npt.NDArray[np.uint8],
     ) -> None:
-        """Shows the cut and burnt faces of a body in their colours."""
+        """Shows the cut, burnt and coagulated faces of a body in their colours."""
         for face, color in _FACE_COLORS.items():
             mesh = _mesh_of(points, triangles[faces == face])
             made = self._faces.get((body, face))
@@ -156,6 +164,16 @@ class _Shown(NamedTuple):
 
     revision: int
     vertex_count: int
+
+
+def _with_pale(
+    triangles: npt.NDArray[np.uint32], faces: npt.NDArray[np.uint8], coagulation: npt.NDArray[np.uint8]
+) -> npt.NDArray[np.uint8]:
+    """Returns the faces, with those of coagulated tissue as `_COAGULATED`. Burnt ones stay dark."""
+    if not coagulation.any() or not len(triangles):
+        return faces
+    pale = (coagulation[triangles].min(axis=1) >= _PALE) & (faces != changes_pb2.BodyChanges.FACE_BURNT)
+    return np.where(pale, np.uint8(_COAGULATED), faces)
 
 
 def _mesh_of(points: npt.NDArray[np.float32], triangles: npt.NDArray[np.uint32]) -> pv.PolyData:

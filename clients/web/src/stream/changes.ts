@@ -22,6 +22,8 @@ export interface BodyPatch {
   readonly triangles: Uint32Array;
   /** [appended triangles]: place in FACES */
   readonly faces: Uint8Array;
+  /** [vertices of the body, appended ones last]: how far the tissue is coagulated, 0 to 255. Empty: it is raw. */
+  readonly coagulation: Uint8Array;
 }
 
 export interface Changes {
@@ -63,7 +65,11 @@ function patchOf(what: string, message: BodyChanges, surface: Surface, first: nu
   if (dead.some((triangle, i) => i > 0 && triangle <= dead[i - 1]!)) {
     throw new DecodeError(`${where}: dead triangles do not ascend`);
   }
-  return { dead, places, triangles, faces: Uint8Array.from(message.appendedKinds, faceOf) };
+  const { coagulation } = message;
+  if (coagulation.length !== 0 && coagulation.length !== surface.vertexCount + places.length) {
+    throw new DecodeError(`${where}: coagulation of ${coagulation.length} of ${surface.vertexCount + places.length} vertices`);
+  }
+  return { dead, places, triangles, faces: Uint8Array.from(message.appendedKinds, faceOf), coagulation };
 }
 
 /** Names of the protocol's numbers. */

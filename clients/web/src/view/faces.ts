@@ -6,6 +6,7 @@ import { FACES, type Shape } from "../stream/changes";
 import type { Level } from "./quality";
 import { vertexNormals } from "./normals";
 import { simpleMaterial } from "./simple_material";
+import { COAGULATED } from "./tint";
 
 /** Colours of faces [sRGB], in the order of FACES; null: that of the body. */
 const COLOURS = [null, "#a8453b", "#2c1b14"] as const;
@@ -38,8 +39,12 @@ export class AppendedFaces {
     this.mesh.receiveShadow = true;
   }
 
-  /** Shows other triangles from the next `update` on. */
-  show({ appended, faces }: Shape): void {
+  /**
+   * Shows other triangles from the next `update` on.
+   *
+   * @param coagulation As of BodyPatch. Burnt faces stay dark.
+   */
+  show({ appended, faces }: Shape, coagulation: Uint8Array = new Uint8Array()): void {
     const numbers = new Map<string, number>();
     const sources: number[] = [];
     const colours: THREE.Color[] = [];
@@ -55,7 +60,9 @@ export class AppendedFaces {
           if (number === undefined) {
             numbers.set(key, (number = sources.length));
             sources.push(vertex);
-            colours.push(this.#colours[face]!);
+            const raw = this.#colours[face]!;
+            const paleness = FACES[face] === "burnt" ? 0 : (coagulation[vertex] ?? 0) / 255;
+            colours.push(paleness === 0 ? raw : raw.clone().lerp(COAGULATED, paleness));
           }
           triangles.push(number);
         }

@@ -9,6 +9,7 @@ import { unpackNormals, vertexNormals } from "./normals";
 import { decodePicture } from "./picture";
 import { fillCopies, splitSeams } from "./seams";
 import { simpleMaterial } from "./simple_material";
+import { tint } from "./tint";
 import { setRange, valueMaterial } from "./value_material";
 
 /** Colours for bodies without one: liver, kidney, gallbladder, spleen, fat. */
@@ -115,6 +116,10 @@ class Body {
   #all = new Float32Array(0);
   #allNormals = new Float32Array(0);
   #disposed = false;
+  /** Vertex colours of raw tissue, and the colour of the material that they belong to. */
+  #raw: Float32Array;
+  #base: THREE.Color;
+  #pales = false;
 
   /** @param place Of the body in the topology. */
   constructor(
@@ -143,12 +148,14 @@ class Body {
     geometry.setAttribute("position", this.#positions);
     geometry.setAttribute("normal", this.#normals);
     geometry.setAttribute("place", new THREE.BufferAttribute(places, 3));
-    geometry.setAttribute("color", new THREE.BufferAttribute(mottle(places), 3));
+    this.#raw = mottle(places);
+    geometry.setAttribute("color", new THREE.BufferAttribute(this.#raw.slice(), 3));
     this.#drawn = triangles;
     geometry.setIndex(new THREE.BufferAttribute(triangles.slice(), 1));
     const color = surface.colorSrgb
       ? new THREE.Color().setRGB(...surface.colorSrgb, THREE.SRGBColorSpace)
       : new THREE.Color(fallbackColor);
+    this.#base = color;
     this.#values = new THREE.BufferAttribute(new Float32Array(vertexCount), 1);
     this.#values.setUsage(THREE.DynamicDrawUsage);
     geometry.setAttribute("value", this.#values);
@@ -192,14 +199,34 @@ class Body {
       return false;
     }
     // The picture has the tissue's own pattern.
-    Object.assign(look, { map: picture, vertexColors: false, needsUpdate: true });
+    Object.assign(look, { map: picture, needsUpdate: true });
     look.color.set("#ffffff");
+    this.#raw = new Float32Array(this.#raw.length).fill(1);
+    this.#base = new THREE.Color("#ffffff");
+    this.#tint(true);
     return true;
+  }
+
+  /** Pales what is coagulated. @param anew Although nothing is. */
+  #tint(anew = false): void {
+    const coagulation = this.#patch?.coagulation ?? new Uint8Array();
+    if (!anew && !this.#pales && coagulation.length === 0) {
+      return;
+    }
+    this.#pales = coagulation.length > 0;
+    const { vertexCount } = this.#surface;
+    const colours = this.mesh.geometry.getAttribute("color") as THREE.BufferAttribute;
+    tint(this.#raw, this.#base, coagulation.subarray(0, vertexCount), colours.array as Float32Array);
+    if (this.#pales) {
+      fillCopies(colours.array, this.#copies, vertexCount, 3);
+    }
+    colours.needsUpdate = true;
   }
 
   change(patch: BodyPatch | null): void {
     this.#patch = patch;
     this.#shown = null;
+    this.#tint();
     if (patch === null) {
       this.#drawBase(this.#drawn);
       this.#faces?.show({ base: this.#drawn, appended: new Uint32Array(), faces: new Uint8Array() });
@@ -280,7 +307,7 @@ class Body {
       this.mesh.add(this.#faces.mesh, this.#faces.edges);
       this.#clipFaces();
     }
-    this.#faces?.show(shape);
+    this.#faces?.show(shape, patch.coagulation);
   }
 
   /** Draws these triangles of the topology, which are some of `#drawn`. */
