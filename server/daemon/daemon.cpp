@@ -19,12 +19,6 @@ namespace {
 
 constexpr double kMib = 1 << 20;
 
-/// Ends of the log's line about a lost device.
-constexpr std::string_view kGoesOn =
-    "scenes on other GPUs go on; load those of this one again, and they get another; the daemon ends for another one "
-    "to start when no scene is left on a GPU that works";
-constexpr std::string_view kEnds = "the daemon ends, for another one to start";
-
 /// The lines of zenoh, which clients can cause at any rate.
 class ZenohLog {
  public:
@@ -156,14 +150,13 @@ Result<void> Daemon::open(const Config& config, const Process& process) {
                                   .publisher_turns = [this] { return publisher_->turns(limits::kTurnTime); },
                                   .on_live = [this](bool live) { set_health("live", live); },
                                   .on_device_lost =
-                                      [](const world::Runner& scene, bool goes_on) {
+                                      [end = process.on_device_lost](const std::string& scene) {
                                         log::error("the process lost its device",
-                                                   {{"scene", scene.name()},
-                                                    {"device", scene.device()},
-                                                    {"reason", "after this CUDA error no call of CUDA works there"},
-                                                    {"then", goes_on ? kGoesOn : kEnds}});
-                                      },
-                                  .on_no_device = process.on_device_lost});
+                                                   {{"scene", scene},
+                                                    {"reason", "after this CUDA error no call of CUDA works"},
+                                                    {"then", "the daemon ends, for another one to start"}});
+                                        end();
+                                      }});
   return {};
 }
 

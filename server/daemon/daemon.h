@@ -52,8 +52,7 @@ class Daemon {
     const ServiceManager& manager;
     /// Returns true if a signal to end waits. Scenes that come back take long.
     std::function<bool()> stop_asked;
-    /// Called once, on a thread of the daemon, if the process lost its device and no scene is left on another one: it
-    /// must end, and another one start.
+    /// Called once, on a thread of the daemon, if the process lost its device: it must end, and another one start.
     std::function<void()> on_device_lost;
   };
 

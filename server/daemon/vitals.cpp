@@ -37,23 +37,12 @@ bool Vitals::is_live(const std::vector<control::RunnerPtr>& scenes) const {
          });
 }
 
-void Vitals::look_for_losses(const std::vector<control::RunnerPtr>& scenes) {
-  std::vector<control::RunnerPtr> newly;  // a scene of each device
-  for (const control::RunnerPtr& runner : scenes) {
-    if (runner->device_lost() && lost_.insert(runner->device()).second) newly.push_back(runner);
-  }
-  if (lost_.empty() || told_of_end_) return;
-  const bool goes_on = std::any_of(scenes.begin(), scenes.end(),
-                                   [&](const control::RunnerPtr& runner) { return !lost_.contains(runner->device()); });
-  for (const control::RunnerPtr& runner : newly) watched_.on_device_lost(*runner, goes_on);
-  if (!goes_on && !std::exchange(told_of_end_, true)) watched_.on_no_device();
-}
-
 void Vitals::run() {
   name_thread("vitals");
   const auto watchdog = watched_.manager.watchdog();
   const auto look = watchdog ? std::min(kLook, *watchdog / 4) : kLook;
   std::optional<bool> was_live;
+  bool lost = false;
   std::unique_lock lock(mutex_);
   while (!stop_) {
     lock.unlock();
@@ -67,7 +56,9 @@ void Vitals::run() {
         watched_.on_live(live);
         was_live = live;
       }
-      look_for_losses(scenes);
+      const auto one =
+          std::find_if(scenes.begin(), scenes.end(), [](const auto& runner) { return runner->device_lost(); });
+      if (one != scenes.end() && !std::exchange(lost, true)) watched_.on_device_lost((*one)->name());
     }
     lock.lock();
     wake_.wait_for(lock, look, [&] { return stop_; });

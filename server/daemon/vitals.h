@@ -1,10 +1,9 @@
 #pragma once
 
 #include <condition_variable>
-#include <cstdint>
 #include <functional>
 #include <mutex>
-#include <set>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -18,9 +17,6 @@ namespace tensormass::daemon {
 ///     live    every loop and the publisher turned within limits::kTurnTime, or had nothing to do
 ///     lost    a scene lost its device in a way that ends the device's use for this process
 ///
-/// A lost GPU stops its own scenes. Those on other GPUs go on, so the process ends only when no scene is left on a GPU
-/// that works.
-///
 /// While the daemon is live, the service manager gets WATCHDOG=1. If a loop hangs, the watch goes on and says nothing.
 /// If anything holds the registry, the watch hangs with it, which says the same.
 class Vitals {
@@ -29,11 +25,8 @@ class Vitals {
     const ServiceManager& manager;
     std::function<std::vector<control::RunnerPtr>()> scenes;  ///< all that step
     std::function<bool()> publisher_turns;
-    std::function<void(bool live)> on_live;  ///< called first, and after each change
-    /// Called once for each device. goes_on: scenes step on other devices
-    std::function<void(const world::Runner& scene, bool goes_on)> on_device_lost;
-    /// Called once: a device is lost, and no scene is left on another one.
-    std::function<void()> on_no_device;
+    std::function<void(bool live)> on_live;                        ///< called first, and after each change
+    std::function<void(const std::string& scene)> on_device_lost;  ///< called once
   };
   /// The functions are called on the thread of the watch.
   explicit Vitals(Watched watched);
@@ -42,11 +35,8 @@ class Vitals {
  private:
   void run();
   bool is_live(const std::vector<control::RunnerPtr>& scenes) const;
-  void look_for_losses(const std::vector<control::RunnerPtr>& scenes);
 
   const Watched watched_;
-  std::set<std::uint32_t> lost_;  // the watch's: devices that are lost
-  bool told_of_end_ = false;      // the watch's
   std::mutex mutex_;
   std::condition_variable wake_;
   bool stop_ = false;  // guarded by mutex_

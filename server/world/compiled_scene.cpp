@@ -22,13 +22,10 @@ bool places(const RunnerOptions& options) {
   return options.placement != nullptr && options.backend != BackendChoice::kCpu;
 }
 
-/// Compiles a scene for any GPU that works: all of a placement compile it alike.
+/// Compiles a scene for any GPU: all of a placement compile it alike.
 Result<CompiledScene> compile_somewhere(const v1::Scene& scene, RunnerOptions options,
                                         const model::Progress& progress) {
-  if (places(options)) {
-    TM_ASSIGN_OR_RETURN(device, options.placement->preview({}));
-    options.device = device;
-  }
+  if (places(options)) options.device = options.placement->preview({});
   return compile_scene(scene, options, progress);
 }
 
@@ -73,8 +70,7 @@ Result<CompiledScene> compile_and_place(const v1::Scene& scene, const RunnerOpti
                                         const model::Progress& progress) {
   TM_ASSIGN_OR_RETURN(compiled, compile_somewhere(scene, options, progress));
   if (!places(options) || compiled.backend->name() != "cuda") return std::move(compiled);
-  TM_ASSIGN_OR_RETURN(place, options.placement->place(needs_of(compiled)));
-  compiled.place = std::move(place);
+  compiled.place = options.placement->place(needs_of(compiled));
   TM_RETURN_IF_ERROR(go_to(compiled.place->device(), compiled));
   return std::move(compiled);
 }
@@ -83,8 +79,7 @@ Result<CompiledScene> compile_and_preview(const v1::Scene& scene, const RunnerOp
                                           const model::Progress& progress) {
   TM_ASSIGN_OR_RETURN(compiled, compile_somewhere(scene, options, progress));
   if (!places(options) || compiled.backend->name() != "cuda") return std::move(compiled);
-  TM_ASSIGN_OR_RETURN(device, options.placement->preview(needs_of(compiled)));
-  compiled.report.set_device(device);
+  compiled.report.set_device(options.placement->preview(needs_of(compiled)));
   return std::move(compiled);
 }
 

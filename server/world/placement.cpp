@@ -1,7 +1,6 @@
 #include "world/placement.h"
 
 #include <algorithm>
-#include <limits>
 #include <tuple>
 #include <utility>
 
@@ -9,18 +8,18 @@
 
 namespace tensormass::world {
 
-std::optional<std::size_t> choose_device(std::span<const DeviceLoad> devices, const DeviceNeeds& needs) {
-  std::optional<std::size_t> best;
+std::size_t choose_device(std::span<const DeviceLoad> devices, const DeviceNeeds& needs) {
+  TM_ASSERT(!devices.empty(), "scenes are placed on GPUs");
+  std::size_t best = 0;
   // Ascending: no room, taken share, taken memory.
-  std::tuple<bool, double, double> least{true, std::numeric_limits<double>::infinity(), 0};
+  std::tuple<bool, double, double> least;
   for (std::size_t i = 0; i < devices.size(); ++i) {
     const DeviceLoad& device = devices[i];
-    if (device.lost) continue;
     const bool has_room = device.free >= needs.bytes && device.total > 0;
     const std::uint64_t left = device.free - std::min(device.free, needs.bytes);
     const double memory = device.total > 0 ? 1 - static_cast<double>(left) / static_cast<double>(device.total) : 1;
     const std::tuple taken{!has_room, std::max(device.share + needs.share, memory), memory};
-    if (best && taken >= least) continue;
+    if (i > 0 && taken >= least) continue;
     best = i;
     least = taken;
   }
@@ -34,9 +33,8 @@ double share_of_device(std::uint32_t patches, std::uint32_t multiprocessors, dou
 }
 
 Placement::Placement(std::vector<std::uint32_t> devices, ReadMemory read_memory)
-    : read_memory_(std::move(read_memory)) {
-  TM_ASSERT(!devices.empty(), "scenes are placed on GPUs");
-  for (const std::uint32_t number : devices) devices_.push_back({number});
+    : devices_(std::move(devices)), read_memory_(std::move(read_memory)) {
+  TM_ASSERT(!devices_.empty(), "scenes are placed on GPUs");
 }
 
 std::shared_ptr<Placement> Placement::of_this_machine() {
@@ -44,40 +42,33 @@ std::shared_ptr<Placement> Placement::of_this_machine() {
   return devices.empty() ? nullptr : std::make_shared<Placement>(std::move(devices));
 }
 
-Result<std::uint32_t> Placement::choose(const DeviceNeeds& needs) {
+std::uint32_t Placement::choose(const DeviceNeeds& needs) {
+  if (devices_.size() == 1) return devices_.front();  // no choice, and no need to ask it
   std::vector<DeviceLoad> loads(devices_.size());
   std::vector<std::uint64_t> promised(devices_.size());
   for (const Place* place : places_) {
-    const auto device =
-        std::find_if(devices_.begin(), devices_.end(), [&](const Device& one) { return one.number == place->device_; });
+    const auto device = std::find(devices_.begin(), devices_.end(), place->device_);
     const auto at = static_cast<std::size_t>(device - devices_.begin());
-    const Use use = place->use_ ? place->use_() : Use{place->needs_.share, false};
-    loads[at].share += use.share;
-    device->lost |= use.lost;
+    loads[at].share += place->share_ ? place->share_() : place->needs_.share;
     promised[at] += place->needs_.bytes;
   }
   for (std::size_t i = 0; i < devices_.size(); ++i) {
-    loads[i].lost = devices_[i].lost;
-    if (loads[i].lost || devices_.size() == 1) continue;  // with one there is no choice, and no need to ask it
-    const auto memory = read_memory_(devices_[i].number);
+    const auto memory = read_memory_(devices_[i]);
     if (!memory) continue;
     loads[i].total = memory->total;
     loads[i].free = memory->free - std::min(memory->free, promised[i]);
   }
-  const auto chosen = choose_device(loads, needs);
-  if (chosen) return devices_[*chosen].number;
-  return fail(ErrorCode::kUnavailable, "every GPU has failed in this process; start the daemon again");
+  return devices_[choose_device(loads, needs)];
 }
 
-Result<std::unique_ptr<Placement::Place>> Placement::place(const DeviceNeeds& needs) {
+std::unique_ptr<Placement::Place> Placement::place(const DeviceNeeds& needs) {
   const std::lock_guard lock(mutex_);
-  TM_ASSIGN_OR_RETURN(device, choose(needs));
-  std::unique_ptr<Place> place(new Place(shared_from_this(), device, needs));
+  std::unique_ptr<Place> place(new Place(shared_from_this(), choose(needs), needs));
   places_.push_back(place.get());
   return place;
 }
 
-Result<std::uint32_t> Placement::preview(const DeviceNeeds& needs) {
+std::uint32_t Placement::preview(const DeviceNeeds& needs) {
   const std::lock_guard lock(mutex_);
   return choose(needs);
 }
@@ -87,15 +78,10 @@ Placement::Place::~Place() {
   std::erase(of_->places_, this);
 }
 
-void Placement::Place::lose() noexcept {
-  const std::lock_guard lock(of_->mutex_);
-  for (Device& device : of_->devices_) device.lost |= device.number == device_;
-}
-
-void Placement::Place::follow(ReadUse use) {
+void Placement::Place::follow(ReadShare share) {
   const std::lock_guard lock(of_->mutex_);
   needs_.bytes = 0;
-  use_ = std::move(use);
+  share_ = std::move(share);
 }
 
 }  // namespace tensormass::world

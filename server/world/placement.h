@@ -5,7 +5,6 @@
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <span>
 #include <vector>
 
@@ -16,12 +15,13 @@
 ///
 ///     load: compile ──needs──> Placement::place ──> Place: the number of a GPU, for the life of the scene
 ///                                   │    ^
-///                    free memory of │    │ share of its GPU that each scene takes, measured,
-///                    each GPU <─────┘    │ and whether it lost its GPU
+///                    free memory of │    │ share of its GPU that each scene takes, measured
+///                    each GPU <─────┘    │
 ///                                   the scenes that step
 ///
 /// A scene never moves: its next worlds, as after a cut, are made on the same GPU. Two scenes on one GPU take time from
-/// each other, so a scene goes where the resource that is scarcest after it, time or memory, is least taken.
+/// each other, so a scene goes where the resource that is scarcest after it, time or memory, is least taken. A GPU that
+/// is lost (device_loss.h) ends the process with all of its scenes.
 namespace tensormass::world {
 
 /// What a scene takes of a GPU.
@@ -32,7 +32,6 @@ struct DeviceNeeds {
 
 /// A GPU as the choice sees it.
 struct DeviceLoad {
-  bool lost = false;        ///< it failed, and this process can use it no more
   std::uint64_t free = 0;   ///< memory that neither a process nor a load under way has taken [bytes]
   std::uint64_t total = 0;  ///< memory [bytes]; 0: it does not answer
   double share = 0;         ///< sum of the shares of its scenes
@@ -40,8 +39,8 @@ struct DeviceLoad {
 
 /// Returns the place in `devices` for a scene: least of max(share of time, share of memory) with the scene on it. Of
 /// those that are equal, the one with more free memory, then the first. A GPU without room is chosen only if none has
-/// room; the load then fails and says so. No value: all are lost.
-std::optional<std::size_t> choose_device(std::span<const DeviceLoad> devices, const DeviceNeeds& needs);
+/// room; the load then fails and says so. Needs one GPU at least.
+std::size_t choose_device(std::span<const DeviceLoad> devices, const DeviceNeeds& needs);
 
 /// Returns the share of a GPU that a scene takes: the part of the multiprocessors that its blocks can occupy, times the
 /// part of the time in which they do.
@@ -51,12 +50,7 @@ double share_of_device(std::uint32_t patches, std::uint32_t multiprocessors, dou
 /// The GPUs of a process. All methods may be called from any thread.
 class Placement : public std::enable_shared_from_this<Placement> {
  public:
-  /// What a scene says of itself.
-  struct Use {
-    double share = 0;  ///< as in DeviceNeeds
-    bool lost = false;
-  };
-  using ReadUse = std::function<Use()>;  ///< waits for no step
+  using ReadShare = std::function<double()>;  ///< DeviceNeeds::share of a scene that steps; waits for no step
   using ReadMemory = std::function<Result<backend::DeviceMemory>(std::uint32_t device)>;
 
   /// devices: their numbers, one at least. read_memory: outlives every place.
@@ -72,11 +66,9 @@ class Placement : public std::enable_shared_from_this<Placement> {
     Place& operator=(const Place&) = delete;
     /// Number of the GPU.
     std::uint32_t device() const { return device_; }
-    /// Call it when the buffers are allocated: from then on the GPU itself counts them. use: called by later
+    /// Call it when the buffers are allocated: from then on the GPU itself counts them. share: called by later
     /// placements, until the place ends.
-    void follow(ReadUse use);
-    /// The GPU failed, and this process can use it no more: no scene gets it from then on, also when this one is gone.
-    void lose() noexcept;
+    void follow(ReadShare share);
 
    private:
     friend class Placement;
@@ -86,26 +78,22 @@ class Placement : public std::enable_shared_from_this<Placement> {
     const std::uint32_t device_;
     // Guarded by of_->mutex_.
     DeviceNeeds needs_;
-    ReadUse use_;
+    ReadShare share_;
   };
-  /// Chooses a GPU and takes a place on it. Fails with kUnavailable if all are lost.
-  Result<std::unique_ptr<Place>> place(const DeviceNeeds& needs);
+  /// Chooses a GPU and takes a place on it.
+  std::unique_ptr<Place> place(const DeviceNeeds& needs);
   /// Returns the GPU that a scene with these needs would get now, without taking a place.
-  Result<std::uint32_t> preview(const DeviceNeeds& needs);
+  std::uint32_t preview(const DeviceNeeds& needs);
 
   std::size_t device_count() const { return devices_.size(); }
 
  private:
-  struct Device {
-    std::uint32_t number;
-    bool lost = false;
-  };
-  Result<std::uint32_t> choose(const DeviceNeeds& needs);
+  std::uint32_t choose(const DeviceNeeds& needs);
 
+  const std::vector<std::uint32_t> devices_;
   const ReadMemory read_memory_;
   std::mutex mutex_;
-  std::vector<Device> devices_;  // the list is constant; `lost` is guarded by mutex_, as is the next
-  std::vector<Place*> places_;
+  std::vector<Place*> places_;  // guarded by mutex_
 };
 
 }  // namespace tensormass::world

@@ -52,24 +52,19 @@ struct Runner::Impl {
     loop = std::make_unique<Loop>(device, std::move(world), std::move(generation));
     if (compiled.place) {
       place = std::move(compiled.place);
-      place->follow([this] { return use_of_device(); });
+      place->follow([this] { return measured_share(); });
     }
     if (has_blades() && !loop->generation()->model->lockstep) changer.start(*this);
   }
 
-  ~Impl() {
-    if (place && loop->status().device_lost()) place->lose();
-  }
-
-  /// What the scene takes of its device: measured, or estimated before the first step. A scene in lockstep may take
-  /// all of it whenever it is asked to step.
-  Placement::Use use_of_device() const {
+  /// The share of its device that the scene takes: measured, or estimated before the first step. A scene in lockstep
+  /// may take all of it whenever it is asked to step.
+  double measured_share() const {
     const GenerationPointer present = loop->generation();
     const model::Model& model = *present->model;
     const double measured_s = loop->status().statistics()->percentiles().p50_s;
     const double step_s = measured_s > 0 ? measured_s : 1 / report.expected_rate_hz();
-    return {share_of_device(model.layout.patch_count, max_patches, model.lockstep ? 0 : model.rate_hz, step_s),
-            loop->status().device_lost()};
+    return share_of_device(model.layout.patch_count, max_patches, model.lockstep ? 0 : model.rate_hz, step_s);
   }
 
   /// Runs a command on the loop's thread and waits for its result.

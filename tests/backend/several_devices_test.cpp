@@ -50,10 +50,10 @@ class TwoDevices : public testing::Test {
   std::vector<std::uint32_t> devices_;
 };
 
-/// An edited beam under a probe, which uses every kind of buffer that an edit touches.
-v1::Scene scene_of(bool double_precision, bool newton = false) {
+/// A beam under a probe that is edited: with cuts, or else with ablations.
+v1::Scene scene_of(bool double_precision, bool newton = false, bool cuts = false) {
   v1::Scene scene = tests::edited_beam({.double_precision = double_precision});
-  scene.mutable_editing()->mutable_cutting();
+  if (cuts) scene.mutable_editing()->mutable_cutting();
   scene.mutable_streams()->set_frame_rate_hz(60);
   if (newton) scene.mutable_solver()->set_newton_max_iterations(4);
   tests::add_probe(scene, "probe", 0.02, 0.15, 0.106, 0.05).set_friction_coefficient(0.3);
@@ -70,8 +70,8 @@ std::string positions(Runner& runner) {
   return answer->positions();
 }
 
-/// Runs through every call that reaches the device. Returns the bits after each.
-std::vector<std::string> run_through(Runner& runner, const auto& mislead) {
+/// Runs through every call that reaches the device. Returns the bits after each. cuts: as of scene_of
+std::vector<std::string> run_through(Runner& runner, bool cuts, const auto& mislead) {
   std::vector<std::string> bits;
   const auto then = [&](const auto& call) {
     mislead();
@@ -101,34 +101,48 @@ std::vector<std::string> run_through(Runner& runner, const auto& mislead) {
   body.set_stiffness_factor(1);
   then([&] { return runner.adjust(values); });
   then([&] { return runner.restore(snapshot); });
-  v1::SceneEdit ablation;
-  v1::Ablation& ablated = *ablation.add_ablations();
-  ablated.set_body("beam");
-  for (const std::uint32_t element : {0u, 7u, 20u}) ablated.add_elements(element);
-  then([&] { return runner.edit(ablation); });
-  then([&] { return runner.reset(); });
-  v1::SceneEdit cut;
-  v1::Cut& through = *cut.add_cuts();
-  through.set_body("beam");
-  for (const double y : {1.0, 0.04}) {
-    v1::BladePosition& at = *through.add_blade();
-    for (const double value : {0.1, y, -1.0, 0.1, y, 1.0}) at.add_points_m(value);
+  v1::SceneEdit edit;
+  if (cuts) {
+    v1::Cut& through = *edit.add_cuts();
+    through.set_body("beam");
+    for (const double y : {1.0, 0.04}) {
+      v1::BladePosition& at = *through.add_blade();
+      for (const double value : {0.1, y, -1.0, 0.1, y, 1.0}) at.add_points_m(value);
+    }
+  } else {
+    v1::Ablation& ablated = *edit.add_ablations();
+    ablated.set_body("beam");
+    for (const std::uint32_t element : {0u, 7u, 20u}) ablated.add_elements(element);
   }
-  then([&] { return runner.edit(cut); });
+  then([&] { return runner.edit(edit); });
   then([&] { return runner.reset(); });
   return bits;
 }
 
 TEST_F(TwoDevices, GiveTheSameBits) {
-  for (const auto& [in_double, newton] : {std::pair{false, false}, std::pair{true, false}, std::pair{false, true}}) {
-    std::array<std::vector<std::string>, 2> bits;
-    for (std::size_t i = 0; i < 2; ++i) {
-      const RunnerPtr runner = load(scene_of(in_double, newton), devices_[i]);
-      bits[i] = run_through(*runner, [&] { mislead(devices_[i]); });
+  for (const bool cuts : {false, true}) {
+    for (const auto& [in_double, newton] : {std::pair{false, false}, std::pair{true, false}, std::pair{false, true}}) {
+      SCOPED_TRACE(testing::Message() << (in_double ? "double" : "float") << (newton ? ", Newton" : "")
+                                      << (cuts ? ", cuts" : ""));
+      std::array<std::vector<std::string>, 2> bits;
+      for (std::size_t i = 0; i < 2; ++i) {
+        const RunnerPtr runner = load(scene_of(in_double, newton, cuts), devices_[i]);
+        bits[i] = run_through(*runner, cuts, [&] { mislead(devices_[i]); });
+      }
+      ASSERT_FALSE(bits[0].empty());
+      EXPECT_EQ(bits[0], bits[1]);
     }
-    ASSERT_FALSE(bits[0].empty());
-    EXPECT_NE(bits[0].front(), bits[0].back());
-    EXPECT_EQ(bits[0], bits[1]) << (in_double ? "double" : "float") << (newton ? ", Newton" : "");
+  }
+}
+
+/// The calls of the test above are good ones, where there are no two GPUs to make them.
+TEST(SeveralDevices, TheCallsWorkOnTheCpu) {
+  for (const bool cuts : {false, true}) {
+    auto runner = Runner::start(scene_of(true, false, cuts), {.backend = BackendChoice::kCpu});
+    ASSERT_TRUE(runner) << runner.error().message;
+    const std::vector<std::string> bits = run_through(**runner, cuts, [] {});
+    EXPECT_EQ(bits.size(), 8u);
+    EXPECT_NE(bits.front(), bits.back());
   }
 }
 
@@ -192,8 +206,8 @@ TEST_F(TwoDevices, ScenesThatLoadTogetherSpreadAndKeepTheirBits) {
   for (const std::string& end : ends) EXPECT_EQ(end, expected);
 }
 
-/// Takes the first device from this process while a scene steps on each. Ends with 0 if only the first scene stops, and
-/// the next one gets the second device.
+/// Takes the first device from this process while a scene steps on each. Ends with 0 if both scenes say that their
+/// device is lost: CUDA gives up all devices of a process, so the daemon ends and another one starts.
 [[noreturn]] void lose_the_first(const std::vector<std::uint32_t>& devices, tests::DeviceFault fault) {
   const auto placement = std::make_shared<Placement>(std::vector{devices[0], devices[1]});
   const RunnerOptions options{.backend = BackendChoice::kCuda, .placement = placement};
@@ -208,30 +222,24 @@ TEST_F(TwoDevices, ScenesThatLoadTogetherSpreadAndKeepTheirBits) {
   for (const RunnerPtr& runner : runners) ends_unless(runner->step(3).has_value(), "both step");
   tests::make_current(static_cast<int>(runners[0]->device()));
   tests::answers_to(fault);
-  ends_unless(!runners[0]->step(3), "the scene of the lost device stops");
-  ends_unless(runners[0]->device_lost(), "it says that its device is lost");
-  const auto goes_on = runners[1]->step(3);
-  std::cerr << "the other scene: " << (goes_on ? "goes on" : goes_on.error().message) << '\n';
-  ends_unless(goes_on.has_value(), "the other scene goes on");
-  ends_unless(runners[1]->frame().has_value() && runners[1]->snapshot().has_value(), "all of its calls work");
+  for (const RunnerPtr& runner : runners) {
+    ends_unless(!runner->step(3), "the scene stops");
+    ends_unless(runner->device_lost(), "it says that its device is lost");
+  }
   v1::SceneAdjustments values;
   values.mutable_gravity_m_per_s2();
-  ends_unless(!runners[0]->adjust(values), "no change brings the first scene to another device");
-  runners[0].reset();
-  auto again = Runner::start(scene_of(false), options);
-  std::cerr << "the scene again: " << (again ? "loads" : again.error().message) << '\n';
-  ends_unless(again.has_value() && (*again)->device() == runners[1]->device(), "it gets the other device");
-  ends_unless((*again)->step(3).has_value(), "it steps there");
-  std::cerr << "one device takes only its scenes\n";
-  std::_Exit(0);  // CUDA's own end would wait for the lost device
+  ends_unless(!runners[0]->adjust(values), "no change brings the scene to the CPU");
+  ends_unless(!Runner::start(scene_of(false), options), "no scene loads");
+  std::cerr << "all devices are lost\n";
+  std::_Exit(0);  // CUDA's own end would wait for the lost devices
 }
 
 class TwoDevicesOneLost : public TwoDevices, public testing::WithParamInterface<tests::DeviceFault> {};
 
-/// In a process of its own, because one of its devices works no more.
-TEST_P(TwoDevicesOneLost, TakesOnlyItsScenes) {
+/// In a process of its own, because CUDA works no more in the one that had the fault.
+TEST_P(TwoDevicesOneLost, IsALossOfBoth) {
   GTEST_FLAG_SET(death_test_style, "threadsafe");
-  EXPECT_EXIT(lose_the_first(devices_, GetParam()), testing::ExitedWithCode(0), "one device takes only its scenes");
+  EXPECT_EXIT(lose_the_first(devices_, GetParam()), testing::ExitedWithCode(0), "all devices are lost");
 }
 
 INSTANTIATE_TEST_SUITE_P(Faults, TwoDevicesOneLost,

@@ -25,7 +25,7 @@ bool tensormass::tests::may_allocate(std::size_t) noexcept {
 namespace tensormass::control {
 namespace {
 
-constexpr world::RunnerOptions kCpu{.backend = world::BackendChoice::kCpu, .cpu_threads = 1};
+const world::RunnerOptions kCpu{.backend = world::BackendChoice::kCpu, .cpu_threads = 1};
 
 class NoMemory : public testing::Test {
  protected:

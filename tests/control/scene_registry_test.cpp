@@ -17,7 +17,7 @@
 namespace tensormass::control {
 namespace {
 
-constexpr world::RunnerOptions kCpu{.backend = world::BackendChoice::kCpu, .cpu_threads = 1};
+const world::RunnerOptions kCpu{.backend = world::BackendChoice::kCpu, .cpu_threads = 1};
 
 v1::Scene small_scene(const std::string& name) {
   v1::Scene scene = tests::beam_scene({.cells_x = 2, .cells_y = 1, .cells_z = 1});

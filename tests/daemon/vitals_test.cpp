@@ -7,11 +7,7 @@
 #include <atomic>
 #include <cstdlib>
 #include <cstring>
-#include <mutex>
-#include <optional>
 #include <string>
-#include <utility>
-#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -91,7 +87,7 @@ TEST(ServiceManagerTest, TellsNobodyWithoutOne) {
 
 struct Seen {
   std::atomic<bool> publisher_turns{true};
-  std::atomic<int> looks{0}, live{-1}, losses{0}, goes_on{0}, ends{0};
+  std::atomic<int> looks{0}, live{-1}, losses{0};
 };
 
 Vitals::Watched watched(const ServiceManager& manager, Seen& seen, std::vector<control::RunnerPtr> scenes = {}) {
@@ -103,8 +99,7 @@ Vitals::Watched watched(const ServiceManager& manager, Seen& seen, std::vector<c
                 return seen.publisher_turns.load();
               },
           .on_live = [&seen](bool live) { seen.live = live ? 1 : 0; },
-          .on_device_lost = [&seen](const world::Runner&, bool goes_on) { ++(goes_on ? seen.goes_on : seen.losses); },
-          .on_no_device = [&seen] { ++seen.ends; }};
+          .on_device_lost = [&seen](const std::string&) { ++seen.losses; }};
 }
 
 TEST(VitalsTest, TheWatchdogHearsOfALiveDaemonOnly) {
@@ -130,12 +125,10 @@ TEST(VitalsTest, TheWatchdogHearsOfALiveDaemonOnly) {
 }
 
 /// Starts a scene whose steps fail, or take, as planned.
-/// device: the number of the GPU that it says it has
-control::RunnerPtr start(tests::FaultPlan plan, std::uint32_t device = 0) {
+control::RunnerPtr start(tests::FaultPlan plan) {
   auto compiled = world::compile_scene(tests::block_with_probe(false, 4), {world::BackendChoice::kCpu, 1});
   if (!compiled) throw std::runtime_error(compiled.error().message);
   compiled->backend = std::make_unique<tests::FaultyBackend>(std::move(compiled->backend), std::move(plan));
-  compiled->report.set_device(device);
   auto runner = world::Runner::start(std::move(*compiled));
   if (!runner) throw std::runtime_error(runner.error().message);
   return std::move(*runner);
@@ -173,40 +166,10 @@ TEST(VitalsTest, ADeviceLossIsToldOnce) {
   EXPECT_TRUE(eventually([&] { return seen.looks >= 2; }));
   EXPECT_EQ(seen.losses, 0) << "another failure of a device stops its scene alone";
   EXPECT_FALSE(loses->step(1));
-  EXPECT_TRUE(eventually([&] { return seen.losses == 1 && seen.ends == 1; }));
+  EXPECT_TRUE(eventually([&] { return seen.losses == 1; }));
   const int before = seen.looks;
   EXPECT_TRUE(eventually([&] { return seen.looks >= before + 2; }));
   EXPECT_EQ(seen.losses, 1);
-  EXPECT_EQ(seen.ends, 1);
-  EXPECT_EQ(seen.goes_on, 0);
-}
-
-TEST(VitalsTest, ALostDeviceEndsTheDaemonWhenNoSceneIsOnAnother) {
-  const auto loses = [](std::uint64_t, std::uint64_t) { return std::optional(tests::Fault::kDeviceLost); };
-  const auto works = [](std::uint64_t, std::uint64_t) -> std::optional<tests::Fault> { return std::nullopt; };
-  const ServiceManager manager;
-  Seen seen;
-  std::mutex mutex;
-  std::vector<control::RunnerPtr> scenes{start(loses, 0), start(loses, 0), start(works, 1)};
-  Vitals::Watched watch = watched(manager, seen);
-  watch.scenes = [&] {
-    const std::lock_guard lock(mutex);
-    return scenes;
-  };
-  Vitals vitals(std::move(watch));
-  EXPECT_FALSE(scenes[0]->step(1));
-  EXPECT_TRUE(eventually([&] { return seen.goes_on == 1; }));
-  EXPECT_FALSE(scenes[1]->step(1));
-  const int before = seen.looks;
-  EXPECT_TRUE(eventually([&] { return seen.looks >= before + 2; }));
-  EXPECT_EQ(seen.goes_on, 1) << "once for each device";
-  EXPECT_EQ(seen.losses + seen.ends, 0);
-  EXPECT_TRUE(scenes[2]->step(1));
-  {
-    const std::lock_guard lock(mutex);
-    scenes.clear();
-  }
-  EXPECT_TRUE(eventually([&] { return seen.ends == 1; }));
 }
 
 }  // namespace

@@ -299,7 +299,7 @@ TEST_P(Adjusting, ARestoreMeetsTheValuesBeforeOrAfter) {
 TEST_P(Adjusting, AWorldThatCannotTakeOverChangesNothing) {
   auto world = start(sagging_beam());
   const auto first = std::make_shared<const Generation>(Generation{0, world->shared_model(), 1, {}, false, {}});
-  Loop loop(GetParam(), std::move(world), first);
+  Loop loop(SceneDevice{GetParam(), "", 0}, std::move(world), first);
   const auto positions_now = [&] { return loop.call([&] { return loop.do_positions("beam"); }).value().positions(); };
   ASSERT_TRUE(loop.call([&] { return loop.do_step(3); }));
   const std::string before = positions_now();
