@@ -22,9 +22,11 @@
 /// 1. Beyond a limit the anchor moves through the material (return mapping: Wriggers 2006, section 5.2). So a cut needs
 ///    the force Gc times its width, whatever the stiffness of the tissue is, and the work Gc times its area (Mahvash,
 ///    Hayward 2001; Mahvash, Okamura 2005; Azar, Hayward 2008). A blade that stops keeps its force.
-/// 2. The pin is a link (view/links.h) with four rows. It enters the step's linear system with its stiffness; a part
-///    that yields at the velocities before the solve enters as a constant force. The system stays symmetric and
-///    positive definite, and the force that is reported is the one that tissue received.
+/// 2. A pin is two links (view/links.h) with four rows each: one along c, one along n. They enter the step's linear
+///    system. One that yields at the velocities before the solve enters with the secant to its limit: limit / |stretch|
+///    instead of k. The system stays symmetric and positive definite, and the force that is reported is the one that
+///    tissue received. The secant goes through zero stretch, so what has no weight follows the blade and does not
+///    overtake it; a constant force would throw it.
 /// 3. Backwards nothing holds. The anchor goes along, and until it comes to where it was, nothing holds forwards
 /// either.
 /// 4. Along the edge the anchor slides. A blade that moves along its edge cuts no area.
@@ -223,18 +225,46 @@ TM_HOST_DEVICE void take_anchor(const view::StateView<Real>& state, const view::
   memory[view::kBladeSearches] = 1;
 }
 
-/// Makes the link of a blade point, and takes its anchor if it has none.
+/// The links of a pin: along c, along n.
 template <class Real>
-TM_HOST_DEVICE view::Link<Real> link_of_pin(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                                            const view::BladesView<Real>& blades, std::uint32_t point) {
+struct PinLinks {
+  view::Link<Real> cuts, sideways;
+};
+
+/// Makes a link along a direction of a pin, whose force is s ξ where the step ends.
+///
+///   direction   c or n
+///   now         stretch where the step begins, but with the blade where it ends [m]
+///   ahead       stretch where the step ends, at the velocities before the solve [m]
+///   limit_n     force beyond which it yields
+///
+/// s = min(k, limit / stretch). The larger of both stretches counts, so that tissue that moves along and is then
+/// stopped feels no more than the limit.
+template <class Real>
+TM_HOST_DEVICE view::Link<Real> link_along(const Vec3<Real>& direction, const Vec3<Real>& now, const Vec3<Real>& ahead,
+                                           Real stiffness, Real limit_n) {
+  using std::abs;
+  const Real start = direction.dot(now), stretch = maximum(abs(direction.dot(ahead)), abs(start));
+  view::Link<Real> link{};
+  link.stiffness = stiffness * stretch > limit_n ? limit_n / stretch : stiffness;
+  for (int i = 0; i < 3; ++i) {
+    link.normal[i] = direction[i];
+    link.force[i] = link.stiffness * start * direction[i];
+  }
+  return link;
+}
+
+/// Makes the links of a blade point, and takes its anchor if it has none. Without rows: the point holds nothing.
+template <class Real>
+TM_HOST_DEVICE PinLinks<Real> links_of_pin(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                           const view::BladesView<Real>& blades, std::uint32_t point) {
   const std::uint32_t blade = blade_of(blades, point);
   const physics::PlacedTool<Real>& tool = contact.tools[blades.tools[blade]];
   const BladePoint<Real> at = blade_point(contact, blades, blade, point);
   take_anchor(state, blades, tool, at, point);
   const Real* memory = blades.memory_of(point);
-  view::Link<Real> link{};
   const std::uint32_t tetrahedron = tetrahedron_in(memory, view::kBladeTetrahedron);
-  if (tetrahedron == view::kNoTetrahedron || memory[view::kBladeRetreat] > 0) return link;
+  if (tetrahedron == view::kNoTetrahedron || memory[view::kBladeRetreat] > 0) return {};
   const Real* weights = memory + view::kBladeWeights;
   const Vec3<Real> now = at.position - mean_of(blades, tetrahedron, weights, [&](std::uint32_t row) -> Vec3<Real> {
                            return view::position(state, row);
@@ -242,26 +272,15 @@ TM_HOST_DEVICE view::Link<Real> link_of_pin(const view::StateView<Real>& state, 
   const Vec3<Real> ahead = now - mean_of(blades, tetrahedron, weights, [&](std::uint32_t row) -> Vec3<Real> {
                              return view::change_ahead_to_end(state, row);
                            });
+  if (at.cuts.dot(ahead) < 0) return {};
   const PinLimits<Real> pin(tool, blades.toughness[tetrahedron], at.length_m);
-  const Real forwards = pin.stiffness * at.cuts.dot(ahead), sideways = pin.stiffness * at.normal.dot(ahead);
-  if (forwards < 0) return link;
-  const bool cuts = forwards > pin.cut_n, tears = maximum(sideways, -sideways) > pin.side_n;
-  const Vec3<Real> force =
-      at.cuts * (cuts ? pin.cut_n : pin.stiffness * at.cuts.dot(now)) +
-      at.normal * (tears ? (sideways > 0 ? pin.side_n : -pin.side_n) : pin.stiffness * at.normal.dot(now));
-  // What does not yield has its stiffness, and along the edge nothing holds.
-  const Vec3<Real> axis = cuts == tears ? at.along : (cuts ? at.normal : at.cuts);
+  PinLinks<Real> out{link_along(at.cuts, now, ahead, pin.stiffness, pin.cut_n),
+                     link_along(at.normal, now, ahead, pin.stiffness, pin.side_n)};
   for (std::uint32_t k = 0; k < 4; ++k) {
-    link.rows[k] = blades.rows[std::size_t{4} * tetrahedron + k];
-    link.weight[k] = weights[k];
+    out.cuts.rows[k] = out.sideways.rows[k] = blades.rows[std::size_t{4} * tetrahedron + k];
+    out.cuts.weight[k] = out.sideways.weight[k] = weights[k];
   }
-  for (int c = 0; c < 3; ++c) {
-    link.normal[c] = axis[c];
-    link.force[c] = force[c];
-  }
-  link.stiffness = cuts != tears ? pin.stiffness : Real(0);
-  link.across = cuts || tears ? Real(0) : pin.stiffness;
-  return link;
+  return out;
 }
 
 /// Takes the anchor of a blade point to the end of the step: what yields moves through the material.
@@ -471,7 +490,8 @@ TM_HOST_DEVICE void measure_blades(Team& team, const view::StateView<Real>& stat
         }
         blades.reports[point].dissipated_j = blades.reports[point].cut_m2 = 0;
         if (!(memory[view::kBladeTetrahedron] > 0)) return;
-        const Vec3<Real> force = force_after(links.links[links.first_pin() + point], made);
+        const view::Link<Real>* pin = links.links + links.first_pin() + std::size_t{view::kPinLinks} * point;
+        const Vec3<Real> force = force_after(pin[0], made) + force_after(pin[1], made);
         Vec3<Real> anchor;
         const BladePoint<Real> at = blade_point(contact, blades, blade, point);
         blades.reports[point].dissipated_j =

@@ -13,7 +13,7 @@
 ///   body_contact.h ──> a link for each node that touches a surface ──┐
 ///   edge_contact.h ──> a link for each two sharp edges that touch ───┤
 ///   springs of attachments ──> a link each, until it breaks ─────────┤
-///   blades.h ──> a pin for each blade point that holds tissue ───────┴──> list of each row ──> assembly, A p
+///   blades.h ──> two links for each blade point that holds tissue ───┴──> list of each row ──> assembly, A p
 ///
 /// 1. A link has up to four rows: a node, and the corners of a triangle or another node; or the ends of two edges. What
 ///    a node or an edge touches changes from step to step, while the matrix has fixed edges. So only the diagonal
@@ -96,9 +96,10 @@ TM_HOST_DEVICE void find_links(const Team& team, const view::StateView<Real>& st
   }
   if (team.patch() == 0) {
     team.for_each(0, links.blades.point_count, [&](std::uint32_t i) {
-      const view::Link<Real> link = link_of_pin(state, contact, links.blades, i);
-      links.links[links.first_pin() + i] = link;
-      list_link(team, links, links.first_pin() + i);
+      const PinLinks<Real> pin = links_of_pin(state, contact, links.blades, i);
+      const std::uint32_t place = links.first_pin() + view::kPinLinks * i;
+      add(place, pin.cuts);
+      add(place + 1, pin.sideways);
     });
   }
   if (links.edges.candidate_count > 0) {

@@ -161,8 +161,8 @@ constexpr double kHoldingPart = 0.1, kHoldingPiece = 64;
 
 /// Returns how much of its toughness each element has for a blade: [element] 1 is all of it.
 ///
-/// A point that yields pulls with a constant force in a step, and would throw a splinter or a small piece. So both hold
-/// it in proportion to their material.
+/// A splinter or a small piece would take the whole force of a cut, and tear off or go along. So both hold a blade in
+/// proportion to their material.
 std::vector<double> holds_of(const ReadBodies& bodies, std::span<const std::array<std::uint32_t, 4>> elements) {
   std::vector<double> out(elements.size(), 1);
   if (std::all_of(bodies.bodies.begin(), bodies.bodies.end(), [](const auto& body) { return body.cut == nullptr; })) {

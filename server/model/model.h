@@ -195,7 +195,9 @@ struct Links {
   std::uint32_t spring_count() const { return static_cast<std::uint32_t>(spring_rows.size() / 2); }
   std::uint32_t edge_candidate_count() const { return static_cast<std::uint32_t>(edge_candidates.size() / 2); }
   std::uint32_t edge_slot_count() const { return edge_candidate_count() * view::kEdgeSlots; }
-  std::uint32_t count() const { return candidate_count() + spring_count() + edge_slot_count() + blades.point_count(); }
+  std::uint32_t count() const {
+    return candidate_count() + spring_count() + edge_slot_count() + view::kPinLinks * blades.point_count();
+  }
   std::uint32_t leaf_count() const { return static_cast<std::uint32_t>(leaf_triangles.size() / view::kLeafTriangles); }
   /// Returns whether contacts remember something from step to step (view::LinksView::slips): the force with which a
   /// node pushed, friction, on which side of its own body's surface a node is, or which edges touch.

@@ -65,6 +65,9 @@ enum SideNumber : std::uint32_t {
   kSideNumbers
 };
 
+/// Links of a pin: along the cutting direction, and across the blade's flat.
+inline constexpr std::uint32_t kPinLinks = 2;
+
 /// Pairs that a sharp edge can touch at once.
 inline constexpr std::uint32_t kEdgeSlots = 4;
 
@@ -152,7 +155,7 @@ struct LinksView {
 
   TM_HOST_DEVICE std::uint32_t first_edge_link() const { return candidate_count + spring_count; }
   TM_HOST_DEVICE std::uint32_t first_pin() const { return first_edge_link() + edges.slot_count(); }
-  TM_HOST_DEVICE std::uint32_t count() const { return first_pin() + blades.point_count; }
+  TM_HOST_DEVICE std::uint32_t count() const { return first_pin() + kPinLinks * blades.point_count; }
 };
 
 }  // namespace tensormass::view

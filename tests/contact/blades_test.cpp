@@ -121,6 +121,27 @@ TEST_P(Blades, KeepTheirForceWhileTheyStandStill) {
   EXPECT_LT(world->sweeps().fracture_j(), fracture_j + 0.05 * limit_n * 0.01) << "it does not creep on";
 }
 
+/// A limit that would throw it within a step: 20 N on 8 g are 42 m/s after a 60th of a second.
+TEST_P(Blades, PushAFreeBlockNoFasterThanTheyMove) {
+  for (const Vector3d& direction : {Vector3d(1, 0, 0), Vector3d(0.8, 0, 0.6)}) {
+    const BladeScene of{
+        .young_modulus_pa = 200e3, .toughness_j_per_m2 = 2000, .dt_s = 1.0 / 60, .is_free = true, .tolerance = 1e-12};
+    const auto world = start(tests::block_with_scalpel(of));
+    const double speed_m_per_s = 0.12;
+    double mass_kg = 0, fastest_m_per_s = 0;
+    for (const std::uint32_t row : world->model().layout.row_of_node) mass_kg += world->model().row_mass[row];
+    ASSERT_GT(of.toughness_j_per_m2 * of.width_m * of.dt_s / mass_kg, 100 * speed_m_per_s) << "it could be thrown";
+    for (int i = 0; i < 120; ++i) {
+      ASSERT_TRUE(move_and_step(*world, direction * speed_m_per_s * of.dt_s));
+      const double now = tests::momentum_of(*world).norm() / mass_kg;
+      fastest_m_per_s = std::max(fastest_m_per_s, now);
+    }
+    EXPECT_LT(fastest_m_per_s, 1.05 * speed_m_per_s);
+    EXPECT_GT(fastest_m_per_s, 0.5 * speed_m_per_s) << "it goes along";
+    EXPECT_EQ(world->guard_event(), nullptr);
+  }
+}
+
 /// At rest, what holds the block holds against the blade, and nothing else does.
 TEST_P(Blades, PushTheBaseWithTheForceThatTheyReport) {
   for (const bool selective : {false, true}) {

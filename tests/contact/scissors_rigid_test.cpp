@@ -76,7 +76,11 @@ class RigidSheet {
   void turn(double by_rad) {
     tool_.joints_moved[0] = by_rad;
     tool_.joint_values[0] += by_rad;
-    for (std::uint32_t p = 0; p < kPoints; ++p) list_[p] = link_of_pin(state_, contact_, links_.blades, p);
+    for (std::uint32_t p = 0; p < kPoints; ++p) {
+      const PinLinks<double> pin = links_of_pin(state_, contact_, links_.blades, p);
+      list_[view::kPinLinks * p] = pin.cuts;
+      list_[view::kPinLinks * p + 1] = pin.sideways;
+    }
     load_ = {};
     OneThread team;
     measure_blades(team, state_, contact_, links_);
@@ -148,7 +152,7 @@ class RigidSheet {
   std::vector<double> memory_ = std::vector<double>(std::size_t{kPoints} * (view::kBladeMemory + 1));
   std::vector<double> checkpoint_ = memory_;
   std::vector<view::BladeReport<double>> reports_{kPoints};
-  std::vector<view::Link<double>> list_{kPoints};
+  std::vector<view::Link<double>> list_{view::kPinLinks * kPoints};
   view::StepControl<double> control_{};
   view::StateView<double> state_{};
   view::ContactView<double> contact_{};
