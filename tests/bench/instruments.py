@@ -3,8 +3,9 @@
     python tests/bench/instruments.py [--backend cuda] [--commit HASH] >> tests/bench/results/instruments.jsonl
 
 The scenes are those that `tensormass run` shows on the backend. Each is stepped in lockstep through whole periods of
-its hand, at least 1000 steps, and for as long without its instrument. They take turns of at most 256 steps, so that a
+its hands, at least 1000 steps, and for as long without its instruments. They take turns of at most 256 steps, so that a
 slower moment of the machine slows both. Both make their steps in calls of many, and the times are those of all steps.
+With two hands each call makes one step, in both scenes.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ import argparse
 import json
 import math
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import tensormass as tm
 from tensormass._src.demo import builtin_scenes
-from tensormass_tools.hand import HandScript, script_of
+from tensormass_tools.hand import HandScript, scripts_of
 from tensormass_tools.presets import read_for_backend
 
 #: Steps of a scene until the other one takes its turn.
@@ -30,10 +32,28 @@ def _scene(name: str, backend: str) -> tm.Scene:
     return read_for_backend(name, backend) or tm.Scene.from_file(name)
 
 
+def play(
+    touched: tm.SceneHandle, untouched: tm.SceneHandle, hands: Sequence[HandScript], steps: range, dt_s: float
+) -> float:
+    """Makes steps of both scenes, the first with its tools moved by their hands. Returns the largest force at its end.
+
+    `follow` moves one tool. So with several hands the others move before each step.
+    """
+    first, *others = hands
+    calls = [steps] if not others else [range(step, step + 1) for step in steps]
+    for call in calls:
+        for hand in others:
+            pose = hand.at(call[0] * dt_s)
+            touched.move_tool(hand.tool, pose.position_m, pose.orientation, pose.joint_values, pose.level)
+        status = touched.follow(first.tool, [first.at(step * dt_s) for step in call])
+        untouched.step(len(call))
+    tools = {hand.tool for hand in hands}
+    forces = (felt.force_n for felt in status.tools if felt.tool in tools)
+    return max(math.hypot(force.x, force.y, force.z) for force in forces)
+
+
 def _measure(server: tm.Server, name: str, backend: str) -> dict[str, Any]:
-    path = script_of(name)
-    assert path is not None
-    script = HandScript.read(path)
+    hands = [HandScript.read(path) for path in scripts_of(name).values()]
     alone = _scene(name, backend)
     for tool in [tool for tool in alone.message.tools if not tool.fixed]:
         alone.message.tools.remove(tool)  # obstacles stay: without its table an organ would fall for ever
@@ -43,14 +63,11 @@ def _measure(server: tm.Server, name: str, backend: str) -> dict[str, Any]:
         server.load(alone, name=f"{name}-alone", lockstep=True) as untouched,
     ):
         dt_s = alone.message.stepping.dt_s if alone.message.stepping.HasField("dt_s") else 1 / 60
-        period = round(float(script.times_s[-1]) / dt_s)
+        period = round(max(float(hand.times_s[-1]) for hand in hands) / dt_s)
         steps = period * math.ceil(_LEAST_STEPS / period)
         for first in range(0, steps, _TURN):
-            poses = [script.at(step * dt_s) for step in range(first, min(first + _TURN, steps))]
-            status = touched.follow(script.tool, poses)
-            felt = next(felt for felt in status.tools if felt.tool == script.tool)
-            force_n = max(force_n, math.hypot(felt.force_n.x, felt.force_n.y, felt.force_n.z))
-            untouched.step(len(poses))
+            turn = range(first, min(first + _TURN, steps))
+            force_n = max(force_n, play(touched, untouched, hands, turn, dt_s))
         times = {"step": touched.step_times(), "alone": untouched.step_times()}
         warnings = list(touched.status().warnings)
         assert touched.report is not None
@@ -82,7 +99,7 @@ def main() -> None:
         said = server.version()
         where = {"backend": said.backend, "device": said.device, "commit": args.commit, "command": command}
         for name in builtin_scenes():
-            if script_of(name) is None:
+            if not scripts_of(name):
                 continue
             print(json.dumps({**_measure(server, name, args.backend), **where}), flush=True)
             print(f"{name}: done", file=sys.stderr)
