@@ -46,6 +46,19 @@ Result<void> read_stiffness(const v1::LocalModel& model, Feedback& feedback) {
   return {};
 }
 
+Result<void> read_yielding(const v1::YieldingSpring& spring, Feedback& feedback) {
+  constexpr double kUnit = 1e-3;
+  YieldingModel& out = feedback.yielding;
+  out = {to_eigen(spring.direction()), spring.stiffness_n_per_m(), spring.limit_n()};
+  if (!(std::abs(out.direction.norm() - 1.0) < kUnit)) {
+    return invalid("feedback: the direction of the yielding spring is not a unit vector");
+  }
+  if (!is_positive(out.stiffness_n_per_m) || !is_positive(out.limit_n)) {
+    return invalid("feedback: stiffness and limit of the yielding spring must be positive and finite");
+  }
+  return {};
+}
+
 }  // namespace
 
 void encode_pose(const OutgoingPose& pose, std::string& out) {
@@ -103,6 +116,11 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
     if (!is_not_negative(feedback.valid_for_s)) return invalid("feedback: valid_for_s is negative or not finite");
     if (auto read = read_stiffness(message.local_model(), feedback); !read) {
       return tl::make_unexpected(std::move(read.error()));
+    }
+    if (message.local_model().has_yielding()) {
+      if (auto read = read_yielding(message.local_model().yielding(), feedback); !read) {
+        return tl::make_unexpected(std::move(read.error()));
+      }
     }
   }
   feedback.recovering = message.recovering();

@@ -35,6 +35,13 @@ struct OutgoingPose {
   double level = 0.0;
 };
 
+/// What holds a blade along the direction in which it cuts (SlippingSpring). limit_n is 0: nothing does.
+struct YieldingModel {
+  Eigen::Vector3d direction = Eigen::Vector3d::Zero();
+  double stiffness_n_per_m = 0.0;
+  double limit_n = 0.0;
+};
+
 /// A checked ToolFeedback: every value is finite and the stiffness is symmetric positive semi-definite.
 struct Feedback {
   std::uint64_t step = 0;
@@ -52,6 +59,7 @@ struct Feedback {
   Eigen::Matrix3d stiffness_n_per_m = Eigen::Matrix3d::Zero();
   /// Largest eigenvalue of the stiffness.
   double largest_stiffness_n_per_m = 0.0;
+  YieldingModel yielding;
   double valid_for_s = 0.0;
   /// Torque on the tool about its own place, at this orientation.
   Eigen::Vector3d torque_n_m = Eigen::Vector3d::Zero();
@@ -72,8 +80,9 @@ struct Feedback {
 /// Serializes a v1::ToolPose into `out`, and reuses the string's capacity.
 void encode_pose(const OutgoingPose& pose, std::string& out);
 
-/// Parses and checks a v1::ToolFeedback. Fails if it does not parse, a value is not finite, or the stiffness is not
-/// 3×3, symmetric and positive semi-definite. Such a stiffness could push the hand without bound.
+/// Parses and checks a v1::ToolFeedback. Fails if it does not parse, a value is not finite, the stiffness is not 3×3,
+/// symmetric and positive semi-definite, or a yielding spring has no unit direction, no stiffness or no limit. Such a
+/// model could push the hand without bound.
 Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_ns);
 
 /// Mailbox of one message: a transport's thread offers, the loop takes the newest. The lock is held for a copy of a few

@@ -26,7 +26,9 @@ void ForceRenderer::update(const Feedback& feedback) {
   renewed_ns_ = feedback.arrival_ns;
   model_ = feedback;
   double& largest = model_->largest_stiffness_n_per_m;
-  if (const double raised = secant_.update(feedback) - largest; raised > 0.0) {
+  blade_.update(feedback, options_.max_stiffness_n_per_m);
+  const bool yields = feedback.yielding.limit_n > 0.0;
+  if (const double raised = yields ? 0.0 : secant_.update(feedback) - largest; raised > 0.0) {
     // No eigenvalue exceeds the secant, because the addition has rank one.
     const Eigen::Vector3d direction = feedback.force_n.normalized();
     model_->stiffness_n_per_m += raised * direction * direction.transpose();
@@ -73,9 +75,10 @@ ForceRenderer::Output ForceRenderer::render(const Eigen::Vector3d& position_m, c
 
 /// Force and torques of the newest model.
 ForceRenderer::Output ForceRenderer::of_model(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation,
-                                              std::int64_t now_ns) const {
+                                              std::int64_t now_ns) {
   const double w = weight(now_ns);
   Eigen::Vector3d force = model_->force_n - model_->stiffness_n_per_m * (position_m - model_->position_m);
+  force += blade_.change_n(position_m, now_ns);
   // Without a contact force there is no direction to clamp.
   if (const double norm = model_->force_n.norm(); norm > 0.0) {
     const Eigen::Vector3d direction = model_->force_n / norm;

@@ -14,6 +14,7 @@
 #include "haptic/feedback.h"
 #include "haptic/point_contact.h"
 #include "haptic/secant_stiffness.h"
+#include "haptic/slipping_spring.h"
 
 namespace tensormass::haptic {
 
@@ -50,6 +51,9 @@ struct ForceRendererOptions {
 ///
 ///     F = (1 − s) F₀ + s F(p)
 ///
+/// A blade has a spring that slips instead of K (SlippingSpring). Its force is bounded, so only its stiffness is
+/// bounded by max_stiffness_n_per_m, and SecantStiffness does not count.
+///
 /// The torque follows from the same model (PointContact). The jaws' load has none and is held. Both have the weight w
 /// and fade like the force.
 class ForceRenderer {
@@ -74,12 +78,13 @@ class ForceRenderer {
 
  private:
   double weight(std::int64_t now_ns) const;
-  Output of_model(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation, std::int64_t now_ns) const;
+  Output of_model(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation, std::int64_t now_ns);
 
   ForceRendererOptions options_;
   SecantStiffness secant_;
   std::optional<Feedback> model_;
   PointContact contact_;
+  SlippingSpring blade_;
   std::int64_t valid_until_ns_ = 0;
   // w when the newest model arrived. It rises from there.
   std::int64_t renewed_ns_ = 0;

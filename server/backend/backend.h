@@ -112,6 +112,7 @@ struct BladeFront {
   std::uint32_t element = view::kNoTetrahedron;  ///< numbered in the scene; kNoTetrahedron: it cuts nothing
   double dissipated_j = 0;                       ///< work of fracture in the step
   double cut_m2 = 0;                             ///< area that the point cut in the step
+  double holds_n = 0;                            ///< force at which it goes on cutting; 0: it holds nothing
 };
 
 /// A buffer that steps only read.

@@ -90,6 +90,7 @@ void copy_blades(std::span<const view::BladeReport<Real>> from, std::span<BladeF
     to[i].element = from[i].tetrahedron;
     to[i].dissipated_j = static_cast<double>(from[i].dissipated_j);
     to[i].cut_m2 = static_cast<double>(from[i].cut_m2);
+    to[i].holds_n = static_cast<double>(from[i].holds_n);
   }
 }
 

@@ -335,6 +335,17 @@ TM_HOST_DEVICE Real end_pin(const view::StateView<Real>& state, const view::Cont
   return dissipated;
 }
 
+/// Returns the force at which a blade point goes on cutting. Zero: it holds nothing, or not before it is back where it
+/// was.
+template <class Real>
+TM_HOST_DEVICE Real holding_force(const physics::PlacedTool<Real>& tool, const view::BladesView<Real>& blades,
+                                  const BladePoint<Real>& at, std::uint32_t point) {
+  const Real* memory = blades.memory_of(point);
+  const std::uint32_t tetrahedron = tetrahedron_in(memory, view::kBladeTetrahedron);
+  if (tetrahedron == view::kNoTetrahedron || memory[view::kBladeRetreat] > 0) return 0;
+  return PinLimits<Real>(tool, blades.toughness[tetrahedron], at.length_m).cut_n;
+}
+
 /// A place of a cut's front, and the tetrahedron whose map from the present to rest holds there.
 template <class Real>
 struct FrontPoint {
@@ -488,14 +499,15 @@ TM_HOST_DEVICE void measure_blades(Team& team, const view::StateView<Real>& stat
           Real* saved = blades.checkpoint_memory + (memory - blades.memory);
           for (std::uint32_t i = 0; i < view::kBladeMemory; ++i) saved[i] = memory[i];
         }
-        blades.reports[point].dissipated_j = blades.reports[point].cut_m2 = 0;
+        view::BladeReport<Real>& report = blades.reports[point];
+        report.dissipated_j = report.cut_m2 = report.holds_n = 0;
         if (!(memory[view::kBladeTetrahedron] > 0)) return;
         const view::Link<Real>* pin = links.links + links.first_pin() + std::size_t{view::kPinLinks} * point;
         const Vec3<Real> force = force_after(pin[0], made) + force_after(pin[1], made);
         Vec3<Real> anchor;
         const BladePoint<Real> at = blade_point(contact, blades, blade, point);
-        blades.reports[point].dissipated_j =
-            end_pin(state, contact, blades, at, blade, point, force, anchor, blades.reports[point].cut_m2);
+        report.dissipated_j = end_pin(state, contact, blades, at, blade, point, force, anchor, report.cut_m2);
+        report.holds_n = holding_force(contact.tools[tool], blades, at, point);
         const Vec3<Real> torque = physics::cross<Real>(anchor - origin, force);
         for (int c = 0; c < 3; ++c) {
           sums[c] -= force[c];

@@ -200,6 +200,7 @@ void Publisher::release(const std::string& key, v1::ToolFeedback& feedback, bool
   *feedback.mutable_torque_n_m() = v1::Vector3();
   // Zero stiffness as well as zero force: a client that evaluates the local model gets zero force at any pose.
   for (double& stiffness : *feedback.mutable_local_model()->mutable_stiffness_n_per_m()) stiffness = 0;
+  feedback.mutable_local_model()->clear_yielding();
   feedback.set_removed(removed);
   bus_.publish(key, feedback, {.urgent = true});
 }

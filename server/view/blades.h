@@ -31,6 +31,7 @@ struct BladeReport {
   std::uint32_t tetrahedron;  // the one that it goes by; kNoTetrahedron: it cuts nothing
   Real dissipated_j;          // work of fracture in this step
   Real cut_m2;                // area that the point cut in this step
+  Real holds_n;               // force at which it goes on cutting; 0: it holds nothing, or not before it is back
 };
 
 template <class Real>

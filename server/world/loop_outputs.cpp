@@ -109,6 +109,7 @@ void LoopOutputs::release_tools() {
     tool.friction_n.setZero();
     tool.joint_loads = {};
     tool.stiffness_n_per_m.setZero();
+    tool.yielding = {};
     tool.touching = false;
   }
   stamp_.server_time_ns = unix_time_ns();

@@ -179,6 +179,11 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
   local.set_valid_for_s(local_model_validity_s(model));
   local.clear_anchor_m();
   if (model.tools[tool].mass_kg > 0 || reading.gives_way) fill(reading.hand_m, *local.mutable_anchor_m());
+  local.clear_yielding();
+  if (!(reading.yielding.limit_n > 0)) return;
+  fill(reading.yielding.direction, *local.mutable_yielding()->mutable_direction());
+  local.mutable_yielding()->set_stiffness_n_per_m(reading.yielding.stiffness_n_per_m);
+  local.mutable_yielding()->set_limit_n(reading.yielding.limit_n);
 }
 
 void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<const float> positions,

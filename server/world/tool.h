@@ -49,6 +49,12 @@ struct ReceivedPose {
   double level = 0;                    ///< share of its power that the tool uses, 0 to 1
 };
 
+/// What holds a blade along the direction in which it cuts (v1::YieldingSpring). limit_n is 0: nothing does.
+struct YieldingSpring {
+  Vec3<double> direction = Vec3<double>::Zero();
+  double stiffness_n_per_m = 0, limit_n = 0;
+};
+
 /// A tool at the end of a step. Feedback, frames and the status all carry this.
 struct ToolReading {
   Pose pose;
@@ -60,8 +66,9 @@ struct ToolReading {
   Vec3<double> friction_n = Vec3<double>::Zero();  ///< the part of force_n that is friction
   /// Force of the tissue along each joint [N m or N].
   std::array<double, limits::kMaxToolJoints> joint_loads{};
-  /// A haptic client closes its own loop with this.
+  /// A haptic client closes its own loop with these.
   Mat3<double> stiffness_n_per_m = Mat3<double>::Zero();
+  YieldingSpring yielding;
   bool touching = false;    ///< it touched tissue in this step
   bool retired = false;     ///< it touches nothing, because its newest pose has expired
   bool gives_way = false;   ///< it is not where the hand has moved it (hold.h)

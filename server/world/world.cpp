@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "physics/contact/hertz.h"
+#include "world/yielding.h"
 
 namespace tensormass::world {
 
@@ -125,6 +126,7 @@ void World::read_tools() {
     const Vec3<double> pressing = reading.force_n - reading.friction_n;
     const double force = pressing.norm();
     reading.stiffness_n_per_m.setZero();
+    reading.yielding = {};
     if (const double modulus_pa = forces_[i].plane_strain_modulus_pa; force > 0 && modulus_pa > 0) {
       const Vec3<double> normal = pressing / force;
       reading.stiffness_n_per_m =
@@ -191,6 +193,7 @@ bool World::step(bool gather_visible) {
   if (check.good() && !fronts_.empty()) {  // a held step leaves blades as they were
     state_->read_blades(fronts_);
     sweeps_.take(*model_, fronts_);
+    read_yielding(*model_, fronts_, readings_);
   }
   return true;
 }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -119,6 +120,33 @@ TEST_P(Blades, KeepTheirForceWhileTheyStandStill) {
   }
   EXPECT_GT(-world->readings()[0].force_n[0], 0.8 * limit_n);
   EXPECT_LT(world->sweeps().fracture_j(), fracture_j + 0.05 * limit_n * 0.01) << "it does not creep on";
+}
+
+/// A haptic client renders this between two steps.
+TEST_P(Blades, ReportTheSpringThatYieldsAndItsLimit) {
+  const BladeScene of;
+  const auto world = start(tests::block_with_scalpel(of));
+  const auto yielding = [&]() -> const world::YieldingSpring& { return world->readings()[0].yielding; };
+  EXPECT_EQ(yielding().limit_n, 0) << "before the tissue";
+  for (int i = 0; i < 160; ++i) ASSERT_TRUE(move_and_step(*world, {0.06 * of.dt_s, 0, 0}));
+  const double limit_n = of.toughness_j_per_m2 * of.width_m;
+  EXPECT_NEAR(yielding().limit_n, limit_n, 1e-6 * limit_n);
+  EXPECT_LT((yielding().direction - Vector3d::UnitX()).norm(), 1e-12);
+  EXPECT_NEAR(-world->readings()[0].force_n[0], limit_n, 0.03 * limit_n) << "it is the force of the cut";
+  // The springs of the points and the tissue before them: softer than either, and not by orders of magnitude.
+  EXPECT_LT(yielding().stiffness_n_per_m, limit_n / tests::kBladeThicknessM);
+  EXPECT_GT(yielding().stiffness_n_per_m, 0.1 * of.young_modulus_pa * of.width_m);
+  // The blade goes back by a step of a haptic loop at 60 Hz: the force falls as the model says, within a factor.
+  const double before_n = -world->readings()[0].force_n[0], stiffness_n_per_m = yielding().stiffness_n_per_m;
+  const double back_m = 0.2 * before_n / stiffness_n_per_m;
+  for (int i = 0; i < 40; ++i) ASSERT_TRUE(move_and_step(*world, {-back_m / 40, 0, 0}));
+  for (int i = 0; i < 40; ++i) ASSERT_TRUE(move_and_step(*world, Vector3d::Zero()));
+  const double fallen = (before_n + world->readings()[0].force_n[0]) / before_n;
+  std::printf("fell by %.3g of itself, 0.2 by the model\n", fallen);
+  EXPECT_GT(fallen, 0.07);
+  EXPECT_LT(fallen, 0.6);
+  for (int i = 0; i < 40; ++i) ASSERT_TRUE(move_and_step(*world, {-0.06 * of.dt_s, 0, 0}));
+  EXPECT_EQ(yielding().limit_n, 0) << "nothing holds on the way back";
 }
 
 /// A limit that would throw it within a step: 20 N on 8 g are 42 m/s after a 60th of a second.

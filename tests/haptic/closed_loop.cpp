@@ -41,6 +41,8 @@ constexpr double kNoise = 0.01;
 // As local_model_validity_s() of the server.
 constexpr double kValidSteps = 3.0;
 constexpr double kMinValidForS = 0.02;
+// Force at which tissue parts under a blade. Hands push harder, the free mass less: it would fall through the tissue.
+constexpr double kCutN = 0.25, kCutFreeN = 1.0;
 // The last third must exceed the first by this factor, so that equal oscillations do not count as growth.
 constexpr double kGrowth = 1.1;
 
@@ -161,9 +163,16 @@ class SimulatedServer final : public Link {
     }
     const world::FeltContact contact = touch(pose.pose.position_m);
     feedback.force_n = contact.force_n;
-    if (sends_stiffness_) set_stiffness(feedback, contact.stiffness_n_per_m);
+    if (!sends_stiffness_) return feedback;
+    if (case_.tissue != Tissue::kCut) {
+      set_stiffness(feedback, contact.stiffness_n_per_m);
+    } else if (contact.force_n.z() > 0.0) {  // a blade that went back holds nothing
+      feedback.yielding = {-Eigen::Vector3d::UnitZ(), case_.stiffness_n_per_m, cut_n()};
+    }
     return feedback;
   }
+
+  double cut_n() const { return case_.hand == Hand::kNone ? kCutFreeN : kCutN; }
 
   static void set_stiffness(Feedback& feedback, const Eigen::Matrix3d& stiffness_n_per_m) {
     feedback.stiffness_n_per_m = stiffness_n_per_m;
@@ -200,6 +209,11 @@ class SimulatedServer final : public Link {
   double force_at(double depth_m) {
     const double elastic_n = case_.stiffness_n_per_m * depth_m;
     if (case_.tissue == Tissue::kWall) return elastic_n;
+    if (case_.tissue == Tissue::kCut) {
+      cut_m_ = std::max(cut_m_, depth_m - cut_n() / case_.stiffness_n_per_m);
+      const double noise = 1.0 + kNoise * std::uniform_real_distribution<double>(-1.0, 1.0)(random_);
+      return case_.stiffness_n_per_m * std::max(depth_m - cut_m_, 0.0) * noise;
+    }
     // The damper's length q follows the depth: q' = (depth − q) / kRelaxS, by implicit Euler.
     relaxed_m_ += period_s_ / (period_s_ + kRelaxS) * (depth_m - relaxed_m_);
     const double viscous_n = kRelaxingShare * case_.stiffness_n_per_m * (depth_m - relaxed_m_);
@@ -218,6 +232,7 @@ class SimulatedServer final : public Link {
   std::uint64_t step_ = 0;
   std::optional<OutgoingPose> taken_;
   double relaxed_m_ = 0.0;
+  double cut_m_ = 0.0;  // how deep the tissue is cut
   // Only for a tool with a mass.
   Eigen::Vector3d hand_m_ = Eigen::Vector3d::Zero();
   Eigen::Vector3d tool_m_per_s_ = Eigen::Vector3d::Zero();
@@ -276,7 +291,7 @@ std::string_view name_of(Hand hand) {
 }
 
 std::string_view name_of(Tissue tissue) {
-  constexpr std::array<std::string_view, 2> kNames{"wall", "organ"};
+  constexpr std::array<std::string_view, 3> kNames{"wall", "organ", "cut"};
   return kNames[static_cast<std::size_t>(tissue)];
 }
 

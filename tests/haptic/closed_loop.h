@@ -29,6 +29,7 @@ enum class Hand {
 enum class Tissue {
   kWall,   // a linear spring whose local model is exact
   kOrgan,  // viscoelastic, with a noisy force and a local model that is too soft, as that of the real server
+  kCut,    // a spring that yields under a blade, with a noisy force
 };
 
 /// Parts of the client in use.

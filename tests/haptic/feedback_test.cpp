@@ -79,6 +79,31 @@ TEST(Feedback, SaysThatTheSceneRecovers) {
 }
 
 // A tool that has a mass or gives way is elsewhere than the hand, and the local model belongs to the hand.
+TEST(Feedback, HasTheSpringOfABladeIfItsDirectionAndNumbersAreSound) {
+  v1::ToolFeedback message = good();
+  EXPECT_EQ(decode_feedback(message.SerializeAsString(), 0)->yielding.limit_n, 0.0);
+  v1::YieldingSpring& spring = *message.mutable_local_model()->mutable_yielding();
+  spring.mutable_direction()->set_y(-1.0);
+  spring.set_stiffness_n_per_m(300.0);
+  spring.set_limit_n(0.4);
+  const Feedback feedback = decode_feedback(message.SerializeAsString(), 0).value();
+  EXPECT_EQ(feedback.yielding.direction, Eigen::Vector3d(0.0, -1.0, 0.0));
+  EXPECT_EQ(feedback.yielding.stiffness_n_per_m, 300.0);
+  EXPECT_EQ(feedback.yielding.limit_n, 0.4);
+  for (const double wrong :
+       {0.0, -1.0, std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
+    v1::ToolFeedback bad = message;
+    bad.mutable_local_model()->mutable_yielding()->set_limit_n(wrong);
+    EXPECT_NE(refusal(bad).find("yielding"), std::string::npos) << wrong;
+    bad = message;
+    bad.mutable_local_model()->mutable_yielding()->set_stiffness_n_per_m(wrong);
+    EXPECT_NE(refusal(bad).find("yielding"), std::string::npos) << wrong;
+    bad = message;
+    bad.mutable_local_model()->mutable_yielding()->mutable_direction()->set_y(wrong == -1.0 ? -1.1 : wrong);
+    EXPECT_NE(refusal(bad).find("unit vector"), std::string::npos) << wrong;
+  }
+}
+
 TEST(Feedback, TheLocalModelIsAtItsAnchorIfItHasOne) {
   v1::ToolFeedback message = good();
   message.mutable_local_model()->mutable_anchor_m()->set_y(0.3);

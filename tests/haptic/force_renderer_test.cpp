@@ -49,6 +49,20 @@ TEST(ForceRenderer, FollowsTheLocalModelBetweenSteps) {
   EXPECT_EQ(moved.weight, 1.0);
 }
 
+TEST(ForceRenderer, LetsTheSpringOfABladeSlip) {
+  Feedback cutting = pressed();
+  cutting.stiffness_n_per_m.setZero();
+  cutting.largest_stiffness_n_per_m = 0.0;
+  cutting.yielding = {-Eigen::Vector3d::UnitZ(), 1e5, 2.5};  // stiffer than the device
+  ForceRenderer renderer(kOptions);
+  renderer.update(cutting);
+  expect_near(renderer.render({0.1, 0.2, 0.3}, kUpright, after(0.0)).force_n, {0.0, 0.0, 2.0});
+  expect_near(renderer.render({0.1, 0.2, 0.2998}, kUpright, after(0.001)).force_n, {0.0, 0.0, 2.2});
+  expect_near(renderer.render({0.1, 0.2, 0.29}, kUpright, after(0.002)).force_n, {0.0, 0.0, 2.5});
+  expect_near(renderer.render({0.1, 0.2, 0.291}, kUpright, after(0.003)).force_n, {0.0, 0.0, 1.5});
+  expect_near(renderer.render({0.1, 0.2, 0.295}, kUpright, after(0.004)).force_n, Eigen::Vector3d::Zero());
+}
+
 TEST(ForceRenderer, FadesLinearlyToZeroAfterTheModelExpired) {
   ForceRenderer renderer(kOptions);
   renderer.update(pressed());

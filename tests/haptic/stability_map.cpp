@@ -2,6 +2,7 @@
 // JSON for each case and chain. stability_map.py runs it and draws the map; closed_loop.h says what a case is.
 //
 // `tensormass-haptic-stability-map coupling` prints results/coupling.csv instead: what a tool with a mass changes.
+// `tensormass-haptic-stability-map cut` prints results/cut.csv: tissue that is cut.
 
 #include <algorithm>
 #include <array>
@@ -75,11 +76,54 @@ void print_couplings() {
   }
 }
 
+/// Cuts over all networks of the map but the worst, with 10 % loss at most. A row for each chain and hand.
+void print_cuts() {
+  fmt::print("chain,hand,rests,shakes,grows,kinetic_energy_mj,generated_energy_mj\n");
+  for (const Chain chain :
+       {Chain::kFull, Chain::kNoController, Chain::kTransmittedWithController, Chain::kTransmitted}) {
+    for (const Hand hand : kHands) {
+      std::array<int, 3> motions{};
+      double kinetic_j = 0.0, generated_j = 0.0;
+      Case c{.tissue = Tissue::kCut, .hand = hand};
+      const auto count = [&] {
+        const Outcome o = run_seeds(c, chain, kSeeds);
+        ++motions[static_cast<std::size_t>(o.motion)];
+        kinetic_j = std::max(kinetic_j, o.kinetic_energy_j[2]);
+        generated_j = std::max(generated_j, o.generated_energy_j);
+        c.seed += kSeeds;
+      };
+      for (const double stiffness : kStiffnesses) {
+        for (const double rate : kServerRates) {
+          for (const double delay_ms : kDelaysMs) {
+            for (const double jitter : kJitterShares) {
+              if (delay_ms == 0.0 && jitter > 0.0) continue;
+              for (const double loss : {0.0, 0.1}) {
+                c.stiffness_n_per_m = stiffness;
+                c.server_rate_hz = rate;
+                c.delay_s = delay_ms * kSPerMs;
+                c.jitter_s = jitter * c.delay_s;
+                c.loss = loss;
+                count();
+              }
+            }
+          }
+        }
+      }
+      fmt::print("{},{},{},{},{},{:.3g},{:.3g}\n", name_of(chain), name_of(hand), motions[0], motions[1], motions[2],
+                 1e3 * kinetic_j, 1e3 * generated_j);
+    }
+  }
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
   if (argc > 1 && std::string_view(argv[1]) == "coupling") {
     print_couplings();
+    return 0;
+  }
+  if (argc > 1 && std::string_view(argv[1]) == "cut") {
+    print_cuts();
     return 0;
   }
   Case c;

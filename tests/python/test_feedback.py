@@ -31,3 +31,14 @@ def test_a_feedback_says_that_the_tool_gives_way_and_that_the_scene_recovers() -
     message.recovering = True
     assert tm.Feedback.from_message(message).recovering
     assert "could not be made as planned" in tm.Feedback.from_message(message)._repr_html_()
+
+
+def test_a_feedback_has_the_spring_of_a_blade_that_holds_tissue() -> None:
+    message = stream_pb2.ToolFeedback(tool="scalpel")
+    assert tm.Feedback.from_message(message).yielding is None
+    spring = message.local_model.yielding
+    spring.direction.y, spring.stiffness_n_per_m, spring.limit_n = -1, 300, 0.4
+    yielding = tm.Feedback.from_message(message).yielding
+    assert yielding is not None
+    np.testing.assert_array_equal(yielding.direction, [0, -1, 0])
+    assert (yielding.stiffness_n_per_m, yielding.limit_n) == (300, 0.4)

@@ -54,11 +54,15 @@ def block(kind: str = "tetrahedron") -> tm.Scene:
 
 def test_a_blade_feels_toughness_times_width(server: tm.Server) -> None:
     with server.load(block(), lockstep=True) as scene:
-        for step in range(30):
+        for step in range(31):  # one more than the last cut, whose feedback has no spring
             scene.move_tool("blade", (-0.002 + 1e-3 * step, -0.001, 0.0103), (0.5**0.5, -(0.5**0.5), 0, 0))
             scene.step(1)
         feedback = scene.feedback("blade")
         assert feedback.force_n[0] == pytest.approx(-50 * 0.01, rel=0.15)
+        assert feedback.yielding is not None
+        assert feedback.yielding.limit_n == pytest.approx(50 * 0.01, rel=0.15)
+        np.testing.assert_allclose(feedback.yielding.direction, [1, 0, 0], atol=1e-12)
+        np.testing.assert_array_equal(feedback.stiffness_n_per_m, np.zeros((3, 3)))
 
 
 @pytest.mark.parametrize(("change", "words"), [("shape", "linear tetrahedra"), ("editing", "editing.cutting")])

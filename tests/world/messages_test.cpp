@@ -111,6 +111,20 @@ TEST(Messages, FeedbackEchoesThePoseAndCarriesTheLocalModel) {
   EXPECT_EQ(feedback.local_model().valid_for_s(), local_model_validity_s(model));
 }
 
+TEST(Messages, FeedbackCarriesWhatHoldsABlade) {
+  const model::Model model = two_bodies_and_a_probe();
+  ToolReading reading;
+  v1::ToolFeedback feedback;
+  reading.yielding = {{0, 1, 0}, 300, 0.4};
+  fill_feedback(model, {}, 0, reading, feedback);
+  EXPECT_EQ(feedback.local_model().yielding().direction().y(), 1);
+  EXPECT_EQ(feedback.local_model().yielding().stiffness_n_per_m(), 300);
+  EXPECT_EQ(feedback.local_model().yielding().limit_n(), 0.4);
+  reading.yielding = {};
+  fill_feedback(model, {}, 0, reading, feedback);
+  EXPECT_FALSE(feedback.local_model().has_yielding());
+}
+
 TEST(Messages, AToolIsClaimedUntilItIsRetired) {
   const model::Model model = two_bodies_and_a_probe();
   ToolReading reading;

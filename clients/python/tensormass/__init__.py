@@ -32,7 +32,7 @@ from tensormass._src.events import Event, EventStream
 from tensormass._src.fields import FIELD_NAMES, NODE_FIELDS, FieldName, Fields
 from tensormass._src.findings import FindingWarning
 from tensormass._src.frame_stream import FrameStream
-from tensormass._src.frames import Feedback, Frame
+from tensormass._src.frames import Feedback, Frame, YieldingSpring
 from tensormass._src.grids import grid
 from tensormass._src.label_formats.content import Labels, Segment
 from tensormass._src.label_formats.reading import LABEL_ENDINGS
@@ -114,6 +114,7 @@ __all__ = [
     "TriangleSurface",
     "UnavailableError",
     "VolumeMesh",
+    "YieldingSpring",
     "body_mesh",
     "boundary_surface",
     "boundary_triangles",

@@ -20,6 +20,18 @@ from tensormass.v1 import scene_pb2, stream_pb2
 
 
 @dataclass(frozen=True)
+class YieldingSpring:
+    """What holds a scalpel along the direction in which it cuts. See `YieldingSpring` in stream.proto."""
+
+    #: Unit vector [3] in which the edge cuts.
+    direction: npt.NDArray[np.float64]
+    #: Spring and tissue in series, an estimate [N/m].
+    stiffness_n_per_m: float
+    #: Force at which the tissue parts [N].
+    limit_n: float
+
+
+@dataclass(frozen=True)
 class Feedback:
     """Force on a tool after a step. See `ToolFeedback` in stream.proto."""
 
@@ -51,6 +63,8 @@ class Feedback:
     valid_for_s: float
     #: Place of the hand for which force_n holds, [3] m: position_m, unless the tool has a mass or gives way.
     anchor_m: npt.NDArray[np.float64]
+    #: The force along the direction of a scalpel that holds tissue; else None.
+    yielding: YieldingSpring | None
     #: Joints of the tool [rad or m].
     joint_values: npt.NDArray[np.float64]
     #: Load of tissue on each joint [N m or N]; positive pushes to larger values.
@@ -106,6 +120,7 @@ class Feedback:
             stiffness_n_per_m=stiffness.reshape(3, 3) if stiffness.size == 9 else np.zeros((3, 3)),
             valid_for_s=local.valid_for_s,
             anchor_m=_array(local.anchor_m if local.HasField("anchor_m") else message.position_m),
+            yielding=_yielding(local.yielding) if local.HasField("yielding") else None,
             joint_values=np.array(message.joint_values, dtype=np.float64),
             joint_loads=np.array(message.joint_loads, dtype=np.float64),
             touching=message.touching,
@@ -269,6 +284,10 @@ def _find(topology: stream_pb2.Topology, there: Sequence[NamedType], kind: str, 
             return each
     known = ", ".join(each.name for each in there) or "none"
     raise NotFoundError(f"scene {topology.scene!r} has no {kind} {name!r}; it has: {known}")
+
+
+def _yielding(spring: stream_pb2.YieldingSpring) -> YieldingSpring:
+    return YieldingSpring(_array(spring.direction), spring.stiffness_n_per_m, spring.limit_n)
 
 
 def _array(vector: scene_pb2.Vector3) -> npt.NDArray[np.float64]:
