@@ -130,7 +130,7 @@ describe("Tissue that changes", () => {
     const pale = { ...BURNT, coagulation: Uint8Array.of(0, 255, 85, 0, 255) };
     tissue.change(decodeChanges(changesBytes({ bodies: [pale, {}] }), topology));
     tissue.update(at(8));
-    const whole = new THREE.Color("#cdb8a0").toArray();
+    const whole = new THREE.Color("#b3947f").toArray();
     shown(1).forEach((channel, c) => expect(channel).toBeCloseTo(whole[c]!, 3));
     expect([...colours.array].slice(0, 3)).toEqual(raw.slice(0, 3));
     expect(shown(2)[1]).toBeGreaterThan(raw[7]! * body.material.color.g);

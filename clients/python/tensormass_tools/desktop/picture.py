@@ -22,7 +22,7 @@ _COAGULATED = 255  # beside the numbers of BodyChanges.Face
 _FACE_COLORS = {
     changes_pb2.BodyChanges.FACE_CUT: "#a8433b",
     changes_pb2.BodyChanges.FACE_BURNT: "#2b1c16",
-    _COAGULATED: "#cdb8a0",
+    _COAGULATED: "#b3947f",
 }
 # Coagulation of all three corners from which on a triangle is pale.
 _PALE = 128

@@ -1,7 +1,7 @@
 // The colour of coagulated tissue, over the pattern that the tissue has when it is raw.
 import * as THREE from "three";
 
-export const COAGULATED = new THREE.Color("#cdb8a0");
+export const COAGULATED = new THREE.Color("#b3947f");
 
 /**
  * Writes vertex colours, by which a material multiplies its colour, so that coagulated vertices show COAGULATED.
