@@ -274,7 +274,7 @@ TEST_P(Crumbs, AreNotThrownByBlades) {
   }
   std::printf("%d cuts, at most %.3g m/s\n", cuts_made, fastest);
   EXPECT_EQ(guards, 0);
-  EXPECT_LT(fastest, 10) << "without the bounds 13 m/s, and seven steps that a guard rejects";
+  EXPECT_LT(fastest, 1) << "6.2 m/s with a constant force of what yields, 13 without the bounds either";
   EXPECT_GT(cuts_made, 50);
 }
 
