@@ -38,7 +38,7 @@ TEST_P(Outputs, AFrameHasTheTopologyOfItsStep) {
 SurfaceChangesPointer burnt(const World& world, std::uint32_t revision) {
   SurfaceChanges changes{.revision = revision, .appended_vertex_count = 1, .bodies = {}};
   changes.bodies.push_back(
-      {{3}, {world.model().visible.vertex_count}, {{0, 1, world.model().bodies[0].vertex_count}}, {2}});
+      {{3}, {world.model().visible.vertex_count}, {{0, 1, world.model().bodies[0].vertex_count}}, {2}, {}});
   return std::make_shared<const SurfaceChanges>(std::move(changes));
 }
 
