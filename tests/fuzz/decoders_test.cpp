@@ -92,7 +92,7 @@ class OfScene {
     runner_ = *loaded;
   }
 
-  static const world::RunnerOptions kCpu{.backend = world::BackendChoice::kCpu, .cpu_threads = 1};
+  static inline const world::RunnerOptions kCpu{.backend = world::BackendChoice::kCpu, .cpu_threads = 1};
   control::SceneRegistry registry_{kCpu, [] {}};
   v1::Scene scene_;
   control::RunnerPtr runner_;
