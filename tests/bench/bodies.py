@@ -65,7 +65,7 @@ _BODIES = (
 class Run:
     fields: list[npt.NDArray[np.float64]]
     times: Any
-    iterations: int  # of the last step
+    iterations: int  # the last step's
     stopped: str = ""
 
 

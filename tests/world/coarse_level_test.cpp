@@ -123,26 +123,26 @@ TEST(CoarseSwitch, TriesEverLessOftenWhetherItIsNeeded) {
   model::Settings settings;
   backend::CoarseSwitch one;
   EXPECT_FALSE(one.is_on(settings));
-  one.take_solve(model::kCoarseFromIterations, 0, backend::kCoarseOnCpu);
+  one.take_solve(model::kCoarseFromIterations, 0, backend::kCoarseByStages);
   EXPECT_FALSE(one.is_on(settings)) << "not more than the bound";
   const auto solves_until_next_trial = [&] {
-    one.take_solve(model::kCoarseFromIterations + 1, 0, backend::kCoarseOnCpu);
+    one.take_solve(model::kCoarseFromIterations + 1, 0, backend::kCoarseByStages);
     int solves = 0;
-    for (; one.is_on(settings); ++solves) one.take_solve(20, 0, backend::kCoarseOnCpu);
+    for (; one.is_on(settings); ++solves) one.take_solve(20, 0, backend::kCoarseByStages);
     return solves;
   };
   for (const int expected : {64, 128, 256, 512, 1024, 2048, 4096, 4096}) EXPECT_EQ(solves_until_next_trial(), expected);
   backend::CoarseSwitch same(one.state());
-  same.take_solve(model::kCoarseFromIterations + 1, 0, backend::kCoarseOnCpu);
+  same.take_solve(model::kCoarseFromIterations + 1, 0, backend::kCoarseByStages);
   EXPECT_TRUE(same.is_on(settings));
   EXPECT_EQ(backend::CoarseSwitch(same.state()).state(), same.state());
-  one.take_solve(40, 0, backend::kCoarseOnCpu);
+  one.take_solve(40, 0, backend::kCoarseByStages);
   EXPECT_FALSE(one.is_on(settings));
   EXPECT_EQ(solves_until_next_trial(), 64) << "a short trial forgets the long ones";
   EXPECT_LE(backend::CoarseSwitch(0xFFFFFFFF).state() & 0xFFFF, 4096u) << "a saved state may say anything";
 }
 
-/// What is long on a CPU may be short on a GPU.
+/// Iterations that are long by stages may be short for a fused solve.
 TEST(CoarseSwitch, WeighsASolveByWhatTheLevelCosts) {
   const model::Settings settings;
   const auto turns_on = [&](std::uint32_t iterations, double error, const backend::CoarsePrice& price) {
@@ -150,12 +150,13 @@ TEST(CoarseSwitch, WeighsASolveByWhatTheLevelCosts) {
     one.take_solve(iterations, error, price);
     return one.is_on(settings);
   };
-  EXPECT_TRUE(turns_on(100, 0, backend::kCoarseOnCpu));
-  EXPECT_FALSE(turns_on(100, 0, backend::kCoarseOnGpu)) << "it reached its tolerance";
-  EXPECT_FALSE(turns_on(100, 0.06, backend::kCoarseOnGpu)) << "a soft block of 43,200 tetrahedra";
-  EXPECT_TRUE(turns_on(100, 0.9, backend::kCoarseOnGpu)) << "a ligament";
-  EXPECT_TRUE(turns_on(600, 0, backend::kCoarseOnGpu));
-  EXPECT_FALSE(turns_on(model::kCoarseFromIterations, 0.9, backend::kCoarseOnGpu)) << "the scene asks for no more";
+  EXPECT_TRUE(turns_on(100, 0, backend::kCoarseByStages));
+  EXPECT_FALSE(turns_on(100, 0, backend::kCoarseBesideFused)) << "it reached its tolerance";
+  EXPECT_FALSE(turns_on(100, 0.06, backend::kCoarseBesideFused)) << "a soft block of 43,200 tetrahedra";
+  EXPECT_TRUE(turns_on(100, 0.9, backend::kCoarseBesideFused)) << "a ligament";
+  EXPECT_TRUE(turns_on(600, 0, backend::kCoarseBesideFused));
+  EXPECT_FALSE(turns_on(model::kCoarseFromIterations, 0.9, backend::kCoarseBesideFused))
+      << "the scene asks for no more";
 }
 
 TEST(CoarseSwitch, TurnsOffAfterASolveThatFailed) {
@@ -172,7 +173,7 @@ TEST(CoarseSwitch, TurnsOffAfterASolveThatFailed) {
     backend::CoarseSwitch one(64);
     if (!one.repeats(settings, result, true)) return false;
     int solves = 0;
-    for (; !one.is_on(settings) && solves < 1000; ++solves) one.take_solve(1000, 0, backend::kCoarseOnCpu);
+    for (; !one.is_on(settings) && solves < 1000; ++solves) one.take_solve(1000, 0, backend::kCoarseByStages);
     EXPECT_EQ(solves, 257) << "off for 256 solves, and on after the next long one";
     return true;
   };
@@ -195,7 +196,7 @@ TEST(CoarseSwitch, DoesWhatTheSceneSays) {
   settings.coarse_use = model::CoarseUse::kAlways;
   EXPECT_TRUE(one.is_on(settings));
   settings.coarse_use = model::CoarseUse::kNever;
-  one.take_solve(1000, 0, backend::kCoarseOnCpu);
+  one.take_solve(1000, 0, backend::kCoarseByStages);
   EXPECT_FALSE(one.is_on(settings));
 }
 

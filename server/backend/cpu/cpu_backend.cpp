@@ -237,7 +237,7 @@ class CpuState final : public SceneState {
   void take_solve() {
     const view::SolveReport<Real>& solve = *view_.solve.report;
     const double error = solver::missing_share(solve, inputs_.control->cg_max_iterations);
-    checkpoint_.coarse().take_solve(solve.iterations, error, kCoarseOnCpu);
+    checkpoint_.coarse().take_solve(solve.iterations, error, kCoarseByStages);
   }
   bool repeats(const StepResult& result) {
     return coarse_.aggregate_count > 0 && checkpoint_.coarse().repeats(model_, result, uses_coarse_);

@@ -159,6 +159,26 @@ class DeviceEntries final : public PreparedEdit {
   Scattered* const entries_;
 };
 
+/// Brings what some ranges of a model say to the device. scene, groups: the buffers that will take it
+template <class Real>
+std::unique_ptr<PreparedEdit> bring_entries(const std::shared_ptr<EditMemory>& memory, const model::Model& model,
+                                            const std::vector<model::EditRange>& ranges,
+                                            const model::SceneBuffers& scene,
+                                            const std::vector<model::GroupBuffers<Real>>& groups) {
+  std::size_t values = 0;
+  for (const model::EditRange& range : ranges) values += range.count;
+  const auto fill = [&](Scattered* entries) {
+    std::size_t count = 0;
+    const auto add = [&](const Scattered& entry) { entries[count++] = entry; };
+    model::for_each_write<Real>(model, ranges, scene, groups, [&](void* to, const void* from, std::size_t bytes) {
+      split_into_entries(to, from, bytes, add);
+    });
+    return count;
+  };
+  // No type of a buffer that edits write has more than 8 bytes.
+  return std::make_unique<DeviceEntries>(memory, 2 * values, fill);
+}
+
 /// Collects entries and numbers in page-locked memory and launches the kernels that read them there.
 class EditQueue {
  public:

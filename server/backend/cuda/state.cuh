@@ -5,6 +5,8 @@
 #include <chrono>
 #include <cstddef>
 #include <limits>
+#include <memory>
+#include <mutex>
 #include <span>
 #include <vector>
 
@@ -198,18 +200,9 @@ class CudaState : public SceneState {
   }
   std::unique_ptr<PreparedEdit> prepare(const model::Model& next,
                                         const std::vector<model::EditRange>& ranges) const override {
-    std::size_t values = 0;
-    for (const model::EditRange& range : ranges) values += range.count;
-    const auto fill = [&](Scattered* entries) {
-      std::size_t count = 0;
-      model::for_each_write<Real>(
-          next, ranges, bound_.buffers, buffers_, [&](void* to, const void* from, std::size_t bytes) {
-            split_into_entries(to, from, bytes, [&](const Scattered& entry) { entries[count++] = entry; });
-          });
-      return count;
-    };
-    // No type of a buffer that edits write has more than 8 bytes.
-    return std::make_unique<DeviceEntries>(edit_memory_, 2 * values, fill);
+    // Not before: the device deals its queues out to streams by turns, and one that is idle takes one all the same.
+    std::call_once(edit_memory_is_made_, [&] { edit_memory_ = std::make_shared<EditMemory>(); });
+    return bring_entries<Real>(edit_memory_, next, ranges, bound_.buffers, buffers_);
   }
   void apply(const PreparedEdit& edit) override {
     static_cast<const DeviceEntries&>(edit).run(stream());
@@ -291,6 +284,7 @@ class CudaState : public SceneState {
  private:
   /// Single precision has fused solves (step::Scope::kFusedOnDevice).
   static constexpr bool kSinglePrecision = std::is_same_v<Real, float>;
+  bool is_fused() const { return kSinglePrecision && model_.solve != model::SolveKind::kStages; }
   /// A wait for a solve that may take long spins for this time, as others do throughout.
   static constexpr std::chrono::microseconds kAwake{1000};
 
@@ -319,7 +313,7 @@ class CudaState : public SceneState {
     solve_is_new_ = false;
     const view::SolveReport<Real>& solve = *solve_.data();
     checkpoint_.coarse().take_solve(solve.iterations, solver::missing_share(solve, control_.host->cg_max_iterations),
-                                    kCoarseOnGpu);
+                                    is_fused() ? kCoarseBesideFused : kCoarseByStages);
   }
   void launch_graph(const Graph& graph, const char* what) { check(cudaGraphLaunch(graph.get(), stream()), what); }
   void launch_frame() {
@@ -587,7 +581,8 @@ class CudaState : public SceneState {
   std::vector<view::ElementView<Real>> groups_;
   std::vector<model::GroupBuffers<Real>> buffers_;  // [group]
   EditQueue edits_;
-  const std::shared_ptr<EditMemory> edit_memory_ = std::make_shared<EditMemory>();
+  mutable std::once_flag edit_memory_is_made_;
+  mutable std::shared_ptr<EditMemory> edit_memory_;
   std::vector<std::uint32_t> moves_;  // [move, 2] contact triangles in the present edit: from, to
   unsigned threads_ = 0;
   SolvePlan solve_plan_;
