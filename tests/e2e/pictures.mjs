@@ -1,6 +1,6 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [dissect] [burn] [cut] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [dissect] [burn] [cut] [snip] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
 //
 // The default is all of them.
 //
@@ -23,6 +23,7 @@ const PAGES = {
   cut: takeCut,
   demo: takeDemo,
   dissect: takeDissect,
+  snip: takeSnip,
   textured: takeTextured,
   viewer: takeViewer,
   grid: takeGrid,
@@ -38,6 +39,8 @@ const BURNT_STEP = 400;
 const DRAWN_BACK_M = -0.105;
 /** Step of `cut` in which its hand draws the edge through the organ. */
 const CUT_STEP = 300;
+/** Step of `snip` in which its scissors leave, and the piece lies on the floor. */
+const SNIPPED_STEP = 375;
 const LONGEST_WAIT_S = 180;
 const POLLING_MS = 250;
 const QUALITY = process.env.QUALITY ?? "high";
@@ -202,6 +205,16 @@ async function takeCut() {
     }
     await page.waitForFunction((step) => window.tensormass.state().step >= step, CUT_STEP, { polling: POLLING_MS });
     await save(page, "cut");
+  });
+}
+
+/** The piece that the scissors of `snip` took off, on the floor below the lobe. */
+async function takeSnip() {
+  await withScene("snip", async (url) => {
+    const page = await open(url, WIDE);
+    await hideReadings(page);
+    await page.waitForFunction((step) => window.tensormass.state().step >= step, SNIPPED_STEP, { polling: POLLING_MS });
+    await save(page, "snip");
   });
 }
 
