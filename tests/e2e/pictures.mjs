@@ -39,7 +39,7 @@ const BURNT_STEP = 400;
 const DRAWN_BACK_M = -0.105;
 /** Step of `cut` in which its hand draws the edge through the organ. */
 const CUT_STEP = 300;
-/** Step of `snip` in which its scissors leave, and the piece lies on the floor. */
+/** Step of `snip` in which its scissors leave the lobe whose tip they took. */
 const SNIPPED_STEP = 375;
 const LONGEST_WAIT_S = 180;
 const POLLING_MS = 250;

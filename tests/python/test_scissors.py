@@ -9,8 +9,8 @@ from tensormass_tools.hand import HandScript, script_of
 
 #: A second of the scene `snip`, in steps.
 SECOND = 60
-#: When the scissors have closed and left [s].
-SNIPPED_S = 7.5
+#: When the scissors have closed twice and left [s].
+SNIPPED_S = 12.5
 #: Height of the floor of the scene [m].
 FLOOR_M = -0.12
 
