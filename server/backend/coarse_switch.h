@@ -17,8 +17,8 @@ struct CoarsePrice {
 };
 /// Beside a solve by stages. By a count of operations the coarse level costs a CPU as much as about 30 iterations.
 inline constexpr CoarsePrice kCoarseByStages{model::kCoarseFromIterations, 0};
-/// Beside a GPU's fused solve. On an H200 a step with the coarse level takes 0.6 to 2.8 ms, as long as 450 to 900 of its
-/// iterations (tests/bench/bodies.py).
+/// Beside a GPU's fused solve. On an H200 a step with the coarse level takes 0.6 to 2.8 ms, as long as 450 to 900 of
+/// its iterations (tests/bench/bodies.py).
 inline constexpr CoarsePrice kCoarseBesideFused{512, 0.3};
 
 /// Follows the iterations of a scene's solves. It depends on nothing else, so a replay decides alike.

@@ -42,7 +42,8 @@ double missing_energy_j(const view::SolveReport<Real>& report, std::uint32_t max
   return late * std::max(ratio / (1 - ratio), 1.0);
 }
 
-/// Returns √(e·A e / (x·A x + e·A e)): the error of the solve in the energy norm, relative to its solution. 0: as above.
+/// Returns √(e·A e / (x·A x + e·A e)): the error of the solve in the energy norm, relative to its solution. 0: as
+/// above.
 template <class Real>
 double missing_share(const view::SolveReport<Real>& report, std::uint32_t max_iterations) {
   const double missing_j = missing_energy_j(report, max_iterations);

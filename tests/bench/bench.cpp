@@ -246,21 +246,25 @@ Result<v1::Scene> read_scene(const std::string& path) {
   return scene;
 }
 
-/// Sends poses of the path to every runner until `end`, at 1 kHz like a haptic device.
+/// Sends poses of the path to every runner until `end`, at 1 kHz like a haptic device. The devices take turns within a
+/// millisecond: a step starts with its pose, and hands of several people do not move at the same instants.
 void press_and_lift(std::span<const std::unique_ptr<world::Runner>> runners, const v1::Tool& tool,
                     const RealTime& options, Clock::time_point end) {
   const Clock::time_point begin = Clock::now();
   v1::ToolPose pose;
-  for (std::uint64_t sequence = 1; Clock::now() < end; ++sequence) {
-    const double t = std::chrono::duration<double>(Clock::now() - begin).count();
+  const auto period = std::chrono::duration_cast<Clock::duration>(std::chrono::milliseconds(1));
+  const auto count = static_cast<Clock::rep>(runners.size());
+  for (Clock::rep turn = 0; Clock::now() < end; ++turn) {
+    const Clock::time_point due = begin + turn * period / count;
+    std::this_thread::sleep_until(due);
+    const double t = std::chrono::duration<double>(due - begin).count();
     const double down = 0.5 - 0.5 * std::cos(M_PI * t);
     const auto mix = [&](double from, std::size_t c) { return from + down * (options.press[c] - from); };
-    pose.set_sequence(sequence);
+    pose.set_sequence(static_cast<std::uint64_t>(turn / count) + 1);
     pose.set_client_id(1);
     tests::set(*pose.mutable_position_m(), mix(tool.position_m().x(), 0), mix(tool.position_m().y(), 1),
                mix(tool.position_m().z(), 2));
-    for (const auto& runner : runners) (void)runner->submit_pose(tool.name(), pose);
-    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    (void)runners[static_cast<std::size_t>(turn % count)]->submit_pose(tool.name(), pose);
   }
 }
 

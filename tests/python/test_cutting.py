@@ -109,8 +109,15 @@ def opening_per_force(server: tm.Server, crack_m: float, arm_m: float, width_m: 
     length, force_n = count * size, 1e-4
     mesh = tm.grid([count, cells, 2], (length, 2 * arm_m, width_m), shape="hexahedron")
     scene = tm.Scene("beam")
-    law = {"law": "hooke", "young_modulus_pa": 1e6, "poisson_ratio": 0.0, "density_kg_per_m3": 1000}
-    scene.add_body("beam", mesh, fixed_nodes=mesh.nodes[:, 0] < 1e-9, **law)
+    scene.add_body(
+        "beam",
+        mesh,
+        law="hooke",
+        young_modulus_pa=1e6,
+        poisson_ratio=0.0,
+        density_kg_per_m3=1000,
+        fixed_nodes=mesh.nodes[:, 0] < 1e-9,
+    )
     scene.set_solver(integrator="quasi_static", precision="double", cg_max_iterations=20_000, cg_tolerance=1e-9)
     scene.message.editing.cutting.SetInParent()
     scene.message.streams.frame_rate_hz = 0

@@ -130,8 +130,8 @@ TEST_P(FindingsOf, ASolveThatEndsAboveItsToleranceSaysHowFarItFellShort) {
   EXPECT_LT(error_mm, worst_mm * 4);
   EXPECT_GT(force_n, 0);
   EXPECT_LT(force_n, 10 * 0.0008 * 9.81) << "ten times its weight";
-  EXPECT_NEAR(1e3 * status.solve_displacement_error_m(), error_mm, 0.1 * error_mm) << "the message rounds";
-  EXPECT_NEAR(status.solve_force_error_n(), force_n, 0.1 * force_n);
+  EXPECT_NEAR(1e3 * status.solve_displacement_error_m(), error_mm, 0.35 * error_mm) << "the message rounds";
+  EXPECT_NEAR(status.solve_force_error_n(), force_n, 0.35 * force_n);
   // A solve that reached its tolerance, and one without a tolerance.
   Findings of_exact(exact->shared_model(), budget);
   of_exact.take_step(*exact);
