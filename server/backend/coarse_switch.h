@@ -15,10 +15,11 @@ struct CoarsePrice {
   std::uint32_t iterations;
   double error;
 };
-/// Beside a solve by stages. By a count of operations the coarse level costs a CPU as much as about 30 iterations.
+/// The price where a solve runs by stages: by a count of operations the coarse level costs a CPU as much as about 30
+/// iterations.
 inline constexpr CoarsePrice kCoarseByStages{model::kCoarseFromIterations, 0};
-/// Beside a GPU's fused solve. On an H200 a step with the coarse level takes 0.6 to 2.8 ms, as long as 450 to 900 of
-/// its iterations (tests/bench/bodies.py).
+/// The price where a GPU has a fused solve: on an H200 a step with the coarse level takes 0.6 to 2.8 ms, as long as 450
+/// to 900 iterations (tests/bench/bodies.py).
 inline constexpr CoarsePrice kCoarseBesideFused{512, 0.3};
 
 /// Follows the iterations of a scene's solves. It depends on nothing else, so a replay decides alike.

@@ -123,7 +123,7 @@ export class ToolsPanel {
    * Shows the tools of a scene.
    *
    * @param reason Why the scene cannot be edited now
-   * @param positions Of the frame on show; null: there is none yet
+   * @param positions The positions of the frame on show; null if there is no frame yet
    */
   show(topology: Topology | null, positions: Float32Array | null, reason: Reason): void {
     this.#reason = reason;
