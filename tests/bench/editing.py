@@ -114,8 +114,9 @@ def _moving(scene: tm.SceneHandle, script: HandScript, above_m: float = 0.0) -> 
     def move() -> None:
         begin = time.monotonic()
         while not ends.wait(1 / _POSES_HZ):
-            (x, y, z), *rest = script.at(time.monotonic() - begin)
-            scene.move_tool(script.tool, (x, y, z + above_m), *rest)
+            pose = script.at(time.monotonic() - begin)
+            x, y, z = pose[0]
+            scene.move_tool(script.tool, (x, y, z + above_m), *pose[1:])
 
     mover = threading.Thread(target=move)
     mover.start()
