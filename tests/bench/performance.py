@@ -260,7 +260,7 @@ def bodies() -> Iterator[str]:
 
 def changes() -> Iterator[str]:
     """What a change of a scene costs it while it steps in real time, and how long the change takes."""
-    yield "| `retract` in real time | deadlines missed | from the call to the answer: median (p99) |"
+    yield "| in real time | deadlines missed | from the call to the answer: median (p99) |"
     yield "|---|---|---|"
     found = {row["device"]: row for row in rows("editing.jsonl") if row["case"] == "editing: retract in real time"}
     for device, row in found.items():
@@ -274,6 +274,12 @@ def changes() -> Iterator[str]:
                 f"{row[f'{kind}_call_ms_median']:.3g} ({row[f'{kind}_call_ms_p99']:.3g}) ms" if kind != "plain" else ""
             )
             yield f"| {row['elements']:,} tetrahedra, {device}: {words} | {missed} | {took} |"
+    for row in {
+        row["device"]: row for row in rows("editing.jsonl") if row["case"] == "editing: cut in real time"
+    }.values():
+        for kind, words in (("air", "`cut`, its scalpel in the air"), ("tissue", "`cut`, its scalpel in tissue")):
+            missed = f"{row[f'{kind}_missed_deadlines']:,} of {row[f'{kind}_steps']:,}"
+            yield f"| {row['elements']:,} tetrahedra, {row['device']}: {words} | {missed} | |"
 
 
 def streams() -> Iterator[str]:
