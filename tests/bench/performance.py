@@ -265,9 +265,9 @@ def changes() -> Iterator[str]:
     found = {row["device"]: row for row in rows("editing.jsonl") if row["case"] == "editing: retract in real time"}
     for device, row in found.items():
         for kind, words in (
-            ("plain", "no change"),
-            ("stiffness", "ten changes of stiffness a second"),
-            ("ablation", "ten ablations a second"),
+            ("plain", "`retract`, no change"),
+            ("stiffness", "`retract`, ten changes of stiffness a second"),
+            ("ablation", "`retract`, ten ablations a second"),
         ):
             missed = f"{row[f'{kind}_missed_deadlines']:,} of {row[f'{kind}_steps']:,}"
             took = (
