@@ -215,7 +215,7 @@ class Backend {
 std::unique_ptr<Backend> make_cpu_backend(std::uint32_t default_threads);
 /// scenes: how many must step at the same time. Each gets its share of the multiprocessors.
 /// device: number of the GPU in the order of CUDA.
-/// Fails with kUnavailable and the reason if there is no such device, or no CUDA in this build.
+/// It fails with kUnavailable and the reason if the machine has no such device or this build has no CUDA.
 Result<std::unique_ptr<Backend>> make_cuda_backend(std::uint32_t scenes = 1, std::uint32_t device = 0);
 
 }  // namespace tensormass::backend

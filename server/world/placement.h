@@ -55,7 +55,7 @@ class Placement : public std::enable_shared_from_this<Placement> {
 
   /// devices: their numbers, one at least. read_memory: outlives every place.
   explicit Placement(std::vector<std::uint32_t> devices, ReadMemory read_memory = backend::read_cuda_memory);
-  /// The GPUs of this machine; nullptr if there is none.
+  /// Returns the placement over the GPUs of this machine, or nullptr if it has none.
   static std::shared_ptr<Placement> of_this_machine();
 
   /// The place of a scene, as long as it lives.

@@ -112,30 +112,28 @@ TEST(Feedback, TheLocalModelIsAtItsAnchorIfItHasOne) {
   EXPECT_NE(refusal(message).find("position"), std::string::npos);
 }
 
-TEST(Pose, HasTheAngleOfTheJawsIfTheDeviceHasOne) {
-  OutgoingPose pose;
+v1::ToolPose encoded(const OutgoingPose& pose) {
   std::string bytes;
   encode_pose(pose, bytes);
   v1::ToolPose message;
-  ASSERT_TRUE(message.ParseFromString(bytes));
-  EXPECT_EQ(message.joint_values_size(), 0);
+  EXPECT_TRUE(message.ParseFromString(bytes));
+  return message;
+}
+
+TEST(Pose, HasTheAngleOfTheJawsIfTheDeviceHasOne) {
+  OutgoingPose pose;
+  EXPECT_EQ(encoded(pose).joint_values_size(), 0);
   pose.pose.jaw_angle_rad = 0.4;
-  encode_pose(pose, bytes);
-  ASSERT_TRUE(message.ParseFromString(bytes));
+  const v1::ToolPose message = encoded(pose);
   ASSERT_EQ(message.joint_values_size(), 1);
   EXPECT_EQ(message.joint_values(0), 0.4);
 }
 
 TEST(Pose, HasTheLevelOfThePower) {
   OutgoingPose pose;
-  std::string bytes;
-  encode_pose(pose, bytes);
-  v1::ToolPose message;
-  ASSERT_TRUE(message.ParseFromString(bytes));
-  EXPECT_EQ(message.level(), 0.0);
+  EXPECT_EQ(encoded(pose).level(), 0.0);
   pose.level = 0.25;
-  encode_pose(pose, bytes);
-  ASSERT_TRUE(message.ParseFromString(bytes));
+  const v1::ToolPose message = encoded(pose);
   EXPECT_EQ(message.level(), 0.25);
   EXPECT_EQ(message.valid_for_s(), kPoseValidForS) << "the power of a client that dies ends with its pose";
 }

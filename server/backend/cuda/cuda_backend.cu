@@ -106,7 +106,7 @@ class CudaBackend final : public Backend {
   const std::uint32_t scenes_;
 };
 
-/// Returns the number of devices; 0 with the reason if there is none.
+/// Returns the number of devices, or 0 and writes the reason to status.
 int count_devices(cudaError_t& status) {
   int count = 0;
   status = cudaGetDeviceCount(&count);
