@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "contact/surface.h"
+#include "contact/touch.h"
 
 /// A solid tool (physics/tool/solid.h) touches a triangle at four points: at the corners, and at the centroid. A
 /// triangle that is large for the solid has the point nearest to the solid's middle instead.
@@ -23,9 +23,8 @@
 ///    its way enters, across the gap.
 /// 4. A side of the tissue that stands on a table touches it with its lower corners, but carries nothing. Therefore the
 ///    area towards the solid counts.
-/// 5. The default penalty of a box or a mesh hardens with depth (hardened_solid). A stiffness that the scene gives
-/// stays
-///    as it is.
+/// 5. The default penalty of a box or a mesh hardens with depth (hardened_solid). A stiffness that the scene gives does
+///    not.
 namespace tensormass::contact {
 
 /// Legs of a triangle up to which its corners and its centroid suffice, in depths of the solid's middle.
@@ -37,18 +36,6 @@ inline constexpr double kStiffest = 100;
 /// A box or a mesh that keeps its forces is at least so many times as stiff as the element behind it. With 10 tissue
 /// under an edge rocks; with 50 a block that a platen strikes bounces for ever.
 inline constexpr double kKeptStiffness = 20;
-
-/// A point of a triangle that touches a tool.
-template <class Real>
-struct Touch {
-  Real depth_m = 0;     // not positive: it does not touch, or acts across a gap that closes in the step
-  Real lever_m = 0;     // view::TriangleContact::lever_m
-  Real share = 1;       // part of the triangle's area that it carries
-  Real line_share = 0;  // view::TriangleContact::line_stiffness, as a part of that of the whole triangle
-  Vec3<Real> line = Vec3<Real>::Zero();  // view::TriangleContact::line
-  Vec3<Real> weights = Vec3<Real>::Zero();
-  Vec3<Real> normal = Vec3<Real>::Zero();
-};
 
 /// Returns the direction in which a solid pushes tissue at a point: the gradient of its distance over a stencil of a
 /// quarter of the way to its middle. Near a sharp edge the gradient itself jumps from one face to the other when the
@@ -139,12 +126,12 @@ TM_HOST_DEVICE Touch<Real> hardened_solid(Touch<Real> touch, const physics::Plac
 ///
 ///   ahead                 how the corners move to the end of the step if nothing touches them [m]
 ///   area                  the triangle's, at rest [m²]
-///   kept(point)           depth by which a contact with all of the triangle's area counts as deeper than it is [m]
+///   remembered(point)     what a contact with all of the triangle's area remembers
 ///   visit(point, touch)   is called once for each of them, in order; touch.depth_m is positive where it touches. Where
-///                         it keeps a force, it may be negative; touch.normal is zero where there is nothing to keep
-template <class Kind, class Real, class Kept, class Visit>
+///                         it has pressed, it may be negative; touch.normal is zero where nothing acts
+template <class Kind, class Real, class Last, class Visit>
 TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& tool, const Corners<Real>& corners,
-                                            const Corners<Real>& ahead, Real area, const Kept& kept,
+                                            const Corners<Real>& ahead, Real area, const Last& remembered,
                                             const Visit& visit) {
   using std::sqrt;
   static_assert(Kind::kContactPoints == 4);
@@ -160,8 +147,9 @@ TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& too
     Touch<Real> touch;
     if (far) return touch;
     const Vec3<Real> x = corners.at(weights);
-    const Real depth = -Kind::distance(tool, x), kept_m = kept(point);
-    if (!(depth > 0 || kept_m > 0)) {
+    const Real depth = -Kind::distance(tool, x);
+    const Remembered<Real> last = remembered(point);
+    if (!(depth > 0 || last.pressed_n > 0)) {
       touch = entered_face<Kind>(tool, x, ahead.at(weights), facing);
       touch.weights = weights;
       return touch;
@@ -169,7 +157,7 @@ TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& too
     touch.normal = way_out<Kind>(tool, x);
     touch.share = -touch.normal.dot(facing) / Kind::kContactPoints;
     if (!(touch.share > 0)) return touch;
-    touch.depth_m = depth + kept_m / touch.share;
+    touch.depth_m = depth + last.depth_m / touch.share;
     touch.weights = weights;
     return touch;
   };

@@ -8,6 +8,7 @@
 #include "contact/solid.h"
 #include "contact/surface.h"
 #include "contact/tilt.h"
+#include "contact/touch.h"
 #include "matrix/edges.h"
 #include "physics/lists.h"
 #include "view/scene.h"
@@ -36,9 +37,8 @@
 ///    concerns only triangles that face away from c. Another body beside the one that contains c is pushed as usual.
 /// 5. With the augmented Lagrangian method (Wriggers 2006, section 5.3) a contact keeps its force λ from the end of the
 ///    last step, and the force is λ + k (depth − n·Σ w_a d_a). It then counts as deeper by λ / k. Tissue at rest has no
-///    penetration, because λ carries the load. It may therefore be a hair away from the tool when a step begins. Such
-///    a contact still acts if gravity and the present velocities close the gap within the step; without it, a block at
-///    rest would fall freely for a step and be thrown back, for ever.
+///    penetration, because λ carries the load.
+/// 6. A contact that pressed when the last step ended still acts across a gap that closes within the step (touch.h).
 ///
 /// Interpolating the distance between core points is not enough. A shaft may lie across a body with both ends beside
 /// it. If it sinks in by more than its radius, its middle is inside although both ends are outside. Taken for outside,
@@ -191,15 +191,16 @@ struct CoreDepths {
 };
 
 /// Returns where a triangle touches a thin tool.
-/// kept_m: depth by which the contact counts as deeper than it is. If there is one, depth_m may be negative.
+/// If the contact has pressed, depth_m may be negative.
 template <class Kind, class Real>
 TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
                                          const CoreDepths<Kind, Real>& core_depths, const Corners<Real>& corners,
-                                         Real kept_m, Real ahead) {
+                                         const Remembered<Real>& last, Real ahead) {
   using std::sqrt;
   Touch<Real> deepest;
   Real place = 0;
-  if (kept_m > 0) deepest.depth_m = -tool.radius_m;
+  const Real kept_m = last.depth_m;
+  if (last.pressed_n > 0) deepest.depth_m = -tool.radius_m;
   const auto consider = [&](const Vec3<Real>& candidate, const physics::CorePoint<Real>& core) {
     const Vec3<Real> away = corners.at(candidate) - core.position;
     const Real distance = sqrt(away.dot(away));
@@ -221,24 +222,6 @@ TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
       return along_line<Kind>(tool, corners, deepest, place, kept_m, ahead);
   }
   return deepest;
-}
-
-/// Returns k of a contact that carries all of its triangle [N/m].
-template <class Real>
-TM_HOST_DEVICE Real whole_stiffness(const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
-                                    std::uint32_t triangle) {
-  const Real per_m = tool.penalty_per_m * contact.triangle_moduli[std::size_t{2} * triangle];
-  return (tool.penalty_pa_per_m + per_m) * contact.triangle_area[triangle];
-}
-
-/// Returns the depth by which a contact counts as deeper than it is, λ / k if it carries all of its triangle [m].
-template <class Real>
-TM_HOST_DEVICE Real kept_depth(const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
-                               std::uint32_t point, std::uint32_t triangle) {
-  if (tool.keeps_force == 0) return 0;
-  const Real stiffness = whole_stiffness(contact, tool, triangle);
-  const Real kept_n = tool.presence * contact.slips[4 * contact_place(contact, tool, point, triangle) + 3];
-  return kept_n > 0 && stiffness > 0 ? kept_n / stiffness : Real(0);
 }
 
 /// Returns where a thin tool touches with the pressure k (p(depth) + kept) in place of k (depth + kept), as its
@@ -264,45 +247,6 @@ TM_HOST_DEVICE Touch<Real> hardened(Touch<Real> touch, Real kept, const physics:
   return touch;
 }
 
-/// Returns how the corners of a triangle move to the end of the step if nothing touches them: by the present
-/// velocities, gravity and loads [m].
-template <class Real>
-TM_HOST_DEVICE Corners<Real> motion_ahead(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                                          std::uint32_t triangle) {
-  const Real h = view::step_size(state);
-  Corners<Real> motion;
-  for (std::size_t c = 0; c < 3; ++c) {
-    const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
-    motion.x[c] = view::change_ahead_to_end(state, row);
-    const Real mass = state.inertia[std::size_t{4} * row];
-    if (state.external != nullptr && mass > 0) {
-      motion.x[c] += view::load3<Real>(state.external, row) * (h * h / mass);
-    }
-  }
-  return motion;
-}
-
-/// Returns whether a contact with a gap closes within the step.
-template <class Real>
-TM_HOST_DEVICE bool closes(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                           std::uint32_t triangle, const Touch<Real>& touch) {
-  if (!(touch.share > 0) || touch.normal.dot(touch.normal) == 0) return false;
-  return touch.depth_m > touch.normal.dot(motion_ahead(state, contact, triangle).at(touch.weights));
-}
-
-/// Returns the stiffness at which a spring and the mass of a contact point have a period of about six steps [N/m].
-template <class Real>
-TM_HOST_DEVICE Real inertial_stiffness(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                                       std::uint32_t triangle, const Vec3<Real>& weights) {
-  const Real h = view::step_size(state);
-  Real mass = 0;
-  for (std::size_t c = 0; c < 3; ++c) {
-    const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
-    mass += state.inertia[std::size_t{4} * row] * weights[static_cast<Eigen::Index>(c)];
-  }
-  return mass / (h * h);
-}
-
 /// Returns the stiffness of a contact that keeps its force, at least `least`, and changes the depth so that it keeps
 /// the same force. A kept force does not depend on the stiffness, but its update once a step is stable only if the
 /// spring is stiffer than the mass in front of it.
@@ -311,14 +255,6 @@ TM_HOST_DEVICE Real stiffened(Touch<Real>& touch, Real stiffness, Real kept_n, R
   if (!(stiffness > 0 && stiffness < least)) return stiffness;
   if (kept_n > 0) touch.depth_m += kept_n / least - kept_n / stiffness;
   return least;
-}
-
-/// Returns a measure of the stiffness of the element behind a triangle: E times half the leg of a right triangle of
-/// this size [N/m].
-template <class Real>
-TM_HOST_DEVICE Real element_stiffness(const view::ContactView<Real>& contact, std::uint32_t triangle) {
-  using std::sqrt;
-  return contact.triangle_moduli[std::size_t{2} * triangle] * sqrt(contact.triangle_area[triangle] / 2);
 }
 
 /// Returns how many times stiffer than at its surface the contact of a solid may become with depth: 1 if the scene
@@ -347,11 +283,11 @@ TM_HOST_DEVICE Real least_stiffness(const view::StateView<Real>& state, const vi
   }
 }
 
-/// Computes each triangle's contacts with one tool.
+/// Computes each triangle's contacts with one tool. begins_step: the tissue is where the last step ended.
 template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::PatchesView& patches,
                                            const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                                           const physics::PlacedTool<Real>& tool) {
+                                           const physics::PlacedTool<Real>& tool, bool begins_step) {
   const auto store = [&](std::uint32_t triangle, std::uint32_t point, const Corners<Real>& corners, Touch<Real> touch) {
     const std::size_t place = contact_place(contact, tool, point, triangle);
     view::TriangleContact<Real>& out = contact.contacts[place];
@@ -362,7 +298,10 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     }
     out.depth_m = touch.depth_m;
     out.stiffness = 0;
-    if (!(touch.depth_m > 0 || closes(state, contact, triangle, touch))) return;
+    if (!(touch.depth_m > 0)) {
+      const Real pressed_n = remembered(contact, tool, point, triangle, begins_step).pressed_n;
+      if (!closes(state, contact, triangle, touch, tool.keeps_force != 0 ? Real(0) : pressed_n)) return;
+    }
     for (int c = 0; c < 3; ++c) {
       out.weight[c] = touch.weights[c];
       out.normal[c] = touch.normal[c];
@@ -382,11 +321,11 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
   if constexpr (Kind::kIsSolid) {
     team.for_each(begin, end, [&](std::uint32_t triangle) {
       const Corners<Real> corners = corners_of(state, contact, triangle);
-      const auto kept = [&](std::uint32_t point) { return kept_depth(contact, tool, point, triangle); };
+      const auto last = [&](std::uint32_t point) { return remembered(contact, tool, point, triangle, begins_step); };
       const Real area = contact.triangle_area[triangle];
       const Corners<Real> ahead = motion_ahead(state, contact, triangle);
       const Real steepest = steepest_slope(contact, tool, triangle);
-      for_each_touch_of_solid<Kind>(tool, corners, ahead, area, kept,
+      for_each_touch_of_solid<Kind>(tool, corners, ahead, area, last,
                                     [&](std::uint32_t point, const Touch<Real>& touch) {
                                       store(triangle, point, corners, hardened_solid<Kind>(touch, tool, steepest));
                                     });
@@ -396,9 +335,9 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     const Real ahead = Real(state.iterates != 0 ? kLineWidth : kLineAhead);
     team.for_each(begin, end, [&](std::uint32_t triangle) {
       const Corners<Real> corners = corners_of(state, contact, triangle);
-      const Real kept = kept_depth(contact, tool, 0, triangle);
-      const Touch<Real> touch = touch_of_thin(tool, core_depths, corners, kept, ahead);
-      store(triangle, 0, corners, hardened(touch, kept / touch.share, tool));
+      const Remembered<Real> last = remembered(contact, tool, 0, triangle, begins_step);
+      const Touch<Real> touch = touch_of_thin(tool, core_depths, corners, last, ahead);
+      store(triangle, 0, corners, hardened(touch, last.depth_m / touch.share, tool));
     });
   }
 }
@@ -407,12 +346,15 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
 /// Reads displacement, velocity, tools, closest, slips; writes contacts, frictions.
 template <class Team, class Real>
 TM_HOST_DEVICE void generate_contacts(const Team& team, const view::PatchesView& patches,
-                                      const view::StateView<Real>& state, const view::ContactView<Real>& contact) {
+                                      const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                      const view::NewtonView<Real>& newton) {
+  const bool begins_step = newton.control == nullptr || newton.control->begins_step != 0;
   for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
     const physics::PlacedTool<Real> tool = contact.tools[t];
     physics::with_tool(tool.kind, [&](auto kind) {
       using Kind = typename decltype(kind)::Type;
-      if constexpr (Kind::kContactPoints > 0) generate_contacts_with<Kind>(team, patches, state, contact, tool);
+      if constexpr (Kind::kContactPoints > 0)
+        generate_contacts_with<Kind>(team, patches, state, contact, tool, begins_step);
     });
   }
 }
@@ -501,7 +443,7 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
                                     const view::ContactView<Real>& contact, const view::BalanceView<Real>& balance,
                                     std::uint32_t t) {
   const physics::PlacedTool<Real> tool = contact.tools[t];
-  const bool has_friction = tool.friction > 0, remembers = has_friction || tool.keeps_force != 0;
+  const bool has_friction = tool.friction > 0, remembers = tool.remembers != 0;
   // Force, torque, friction, pressure, pressure times moduli, joints. Summed over the patch together.
   constexpr std::size_t kPressed = 9, kOfJoints = 12, kJoints = Kind::kJoints.size();
   Real sums[kOfJoints + kJoints]{};

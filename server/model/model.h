@@ -341,6 +341,8 @@ struct ToolModel {
   physics::Pose initial_pose;
   std::shared_ptr<const v1::Tool> description;  ///< the scene's message, for viewers; never null
 
+  /// Returns whether its contacts remember something from step to step (view::ContactView::slips).
+  bool remembers() const { return contact_points > 0 && (friction > 0 || keeps_force || !fixed); }
   /// Returns a bound of the stiffness of its contact with rigid tissue [N/m]: a sphere of its radius cannot press on
   /// more than its cross-section. modulus_pa: of what it touches.
   double stiffest_contact_n_per_m(double modulus_pa) const {
@@ -372,6 +374,7 @@ struct ToolModel {
     out.severs_m = static_cast<Real>(presence == 1 ? severs_m : 0);
     out.severing_length_m = static_cast<Real>(severing_length_m);
     out.keeps_force = keeps_force ? 1 : 0;
+    out.remembers = remembers() ? 1 : 0;
     out.kind = kind;
     out.first_core_point = first_core_point;
     out.contact_points = contact_points;
@@ -459,8 +462,7 @@ struct Model : Settings {
   }
   /// Returns whether contacts of tools remember something from step to step (view::ContactView::slips).
   bool contacts_remember() const {
-    return has_friction() ||
-           std::any_of(tools.begin(), tools.end(), [](const ToolModel& tool) { return tool.keeps_force; });
+    return std::any_of(tools.begin(), tools.end(), [](const ToolModel& tool) { return tool.remembers(); });
   }
   bool checks_volume() const {
     return std::any_of(groups.begin(), groups.end(), [](const ElementGroup& group) { return group.checks_volume; });

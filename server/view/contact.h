@@ -81,7 +81,7 @@ struct ContactView {
   const float* samples;  // signed distances of all sampled tools (physics/tool/mesh_solid.h)
 
   TriangleFriction<Real>* frictions;  // [contact_points, triangle_count]; nullptr: no tool has friction
-  // What contacts remember; nullptr: no tool has friction or keeps its force.
+  // What contacts remember; nullptr: all tools are obstacles without friction that keep no force.
   Real* slips;             // [contact_points, triangle_count, 4] stretch of the spring of friction in the frame of the
                            // tool's shape [m]; 4th: normal force [N]. Both at the end of the last step
   Real* checkpoint_slips;  // the same before the step that saved the checkpoint

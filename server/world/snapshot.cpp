@@ -356,9 +356,9 @@ Result<std::string_view> open_snapshot(std::string_view bytes) {
   return bytes;
 }
 
-/// Returns SnapshotState.slips_layout_hash of a model.
-std::uint64_t layout_of_slips(const model::Model& model) {
-  return model.edit_tables && model.contacts_remember() ? hash_of_layout(model) : 0;
+/// Returns SnapshotState.slips_layout_hash of a snapshot: 0 if no contact remembers anything.
+std::uint64_t layout_of_slips(const model::Model& model, const v1::SnapshotState& message) {
+  return model.edit_tables && !message.slips().empty() ? hash_of_layout(model) : 0;
 }
 
 }  // namespace
@@ -394,7 +394,7 @@ std::string write_snapshot(const model::Model& model, std::uint64_t scene_hash, 
   message.set_bodies_touch(world.bodies_touch);
   message.set_next_diagnostics(state.next_diagnostics);
   write_shares(world.shares, message);
-  message.set_slips_layout_hash(layout_of_slips(model));
+  message.set_slips_layout_hash(layout_of_slips(model, message));
   return seal_snapshot(message.SerializeAsString());
 }
 
@@ -412,7 +412,7 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
                     "scene first, or adjust it as it was",
                     message.scene(), model.name));
   }
-  if (message.slips_layout_hash() != layout_of_slips(model)) {
+  if (const std::uint64_t own = layout_of_slips(model, message); own != 0 && message.slips_layout_hash() != own) {
     return fail(
         ErrorCode::kFailedPrecondition,
         "snapshot: the scene has editing and contacts that remember something, and was split otherwise; load it "

@@ -10,6 +10,8 @@ Each row compares one number with what mechanics says, whatever the law and the 
     slides     a block drawn by 1.67 times Coulomb's limit for a second: the way of a rigid block
     held       a tool pressed 1 mm into a block on a held base: nothing moves, and the base carries what it reports
     tray       a cube falls by 10 cm on a box of 5 or 20 mm: it stays on it
+    lowered    a block on a table that sinks by 10 cm in two seconds: its load is m (g + a), a that of the table
+    carried    jaws hold a block by friction and take it along, the way they close and across: it does not slip
 
 A row that is not within its bound is printed as `off`; a table of the worst row of each situation and shape follows.
 --document writes that table into docs/decisions/contact.md.
@@ -98,6 +100,10 @@ def cases() -> Iterator[Case]:
         yield Case("held", tool, *way)
     for thickness_mm, way in itertools.product((5, 20), ways):
         yield Case("tray", f"box of {thickness_mm} mm", *way)
+    for table, way in itertools.product(TABLES, ways):
+        yield Case("lowered", table, *way)
+    for along, way in itertools.product(("x", "y"), ways):
+        yield Case("carried", f"grasper along {along}", *way)
 
 
 def _stepped(scene: tm.Scene, case: Case) -> tm.Scene:
@@ -250,6 +256,57 @@ def _tray(server: tm.Server, case: Case) -> Iterator[tuple[str, float, float]]:
     yield "m below the tray's surface", max(-lowest_m, 0.0), 0.005
 
 
+def _eased(t: float) -> float:
+    """From 0 to 1 without a jump of the acceleration (least jerk: Flash, Hogan 1985)."""
+    t = min(max(t, 0.0), 1.0)
+    return t**3 * (10 - 15 * t + 6 * t * t)
+
+
+def _lowered(server: tm.Server, case: Case) -> Iterator[tuple[str, float, float]]:
+    way_m, takes_s, waits_s = 0.1, 2.0, 1.0
+    scene, mass_kg = _block(0.0)
+    _add_table(scene, case, 0.0)
+    scene.message.tools[0].fixed = False
+    start = scene.message.tools[0].position_m.z
+    off = []
+    with server.load(_stepped(scene, case), lockstep=True) as handle:
+        for step in range(round((waits_s + takes_s) * case.rate_hz)):
+            s = ((step + 1) / case.rate_hz - waits_s) / takes_s
+            handle.move_tool("table", (0, 0, start - way_m * _eased(s)))
+            handle.step()
+            if s > 0.01:
+                # The second derivative of _eased.
+                a = -way_m / takes_s**2 * (60 * s - 180 * s**2 + 120 * s**3)
+                weight_n = mass_kg * (G_M_PER_S2 + a)
+                off.append(abs(-handle.feedback("table").force_n[2] / weight_n - 1))
+    yield "load off m (g + a), at most", max(off), 0.1
+
+
+def _carried(server: tm.Server, case: Case) -> Iterator[tuple[str, float, float]]:
+    size_m, squeezed_m, radius_m, jaw_m, tips_m = 0.02, 0.003, 0.008, 0.08, 0.005
+    scene, mass_kg = _block(0.0, cells=(4, 4, 4), size_m=(size_m,) * 3)
+    _add_table(scene, Case(case.situation, "plane", *_fields(case)[2:]), FRICTION)
+    place = np.array((0.0, 0.0, tips_m))
+    scene.add_tool(
+        "grasper", "grasper", position_m=place, joint_values=[0.8], friction_coefficient=1.0,
+        contact_method=case.method, radius_m=radius_m, jaw_length_m=jaw_m,
+    )  # fmt: skip
+    closed = 2 * np.arcsin((size_m / 2 - squeezed_m + radius_m) / (jaw_m - tips_m))
+    along = np.array((1.0, 0.0, 0.0) if case.shape.endswith("x") else (0.0, 1.0, 0.0))
+    slip = []
+    with server.load(_stepped(scene, case), lockstep=True) as handle:
+        for step in range(5 * case.rate_hz):
+            t = (step + 1) / case.rate_hz
+            at = place + 0.03 * _eased(t - 1.5) * np.array((0, 0, 1)) + 0.06 * _eased((t - 3) / 1.5) * along
+            handle.move_tool("grasper", at, joint_values=[0.8 + (closed - 0.8) * _eased(t)])
+            handle.step()
+            if t > 2.9:
+                slip.append(handle.positions("body").mean(axis=0) - at)
+        load_n = -handle.feedback("grasper").force_n[2]
+    yield "m that the block slips", float(np.abs(np.array(slip) - slip[0]).max()), 1e-3
+    yield "load off its weight", abs(load_n / (mass_kg * G_M_PER_S2) - 1), 0.01
+
+
 _RUNS = {
     "rests": _rests,
     "drops": _drops,
@@ -257,6 +314,8 @@ _RUNS = {
     "slides": _slides,
     "held": _held,
     "tray": _tray,
+    "lowered": _lowered,
+    "carried": _carried,
 }
 
 

@@ -37,4 +37,4 @@ def test_every_situation_holds_with_every_scheme() -> None:
 
 def test_every_row_is_made_once() -> None:
     cases = list(contact_kinds.cases())
-    assert len(set(cases)) == len(cases) == 17 * 2 * 6 * 2
+    assert len(set(cases)) == len(cases) == 22 * 2 * 6 * 2

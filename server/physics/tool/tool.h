@@ -106,6 +106,7 @@ struct PlacedTool {
   std::uint32_t contact_points;               // kContactPoints of the kind
   std::uint32_t first_contact_point;          // its contact points among those of all tools
   std::uint32_t keeps_force;                  // 1: augmented Lagrangian method (contact/tools.h)
+  std::uint32_t remembers;                    // 1: its contacts remember the last step (view::ContactView::slips)
 
   TM_HOST_DEVICE Vec3<Real> position() const { return {position_m[0], position_m[1], position_m[2]}; }
   TM_HOST_DEVICE Vec3<Real> axis(int c) const { return {rotation[c], rotation[3 + c], rotation[6 + c]}; }
