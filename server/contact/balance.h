@@ -301,17 +301,16 @@ TM_HOST_DEVICE void measure_balance(Team& team, const view::PatchesView& patches
       if (balance.row_body[row] == body) add_row(state, balance, center, row, own);
     });
     if (contact.tool_count > 0) {
-      team.for_each(contact.patch_triangles[patch.index], contact.triangles_end[patch.index],
-                    [&](std::uint32_t triangle) {
-                      if (balance.row_body[contact.triangle_rows[std::size_t{3} * triangle]] != body) return;
-                      for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
-                        const physics::PlacedTool<Real>& tool = contact.tools[t];
-                        for (std::uint32_t point = 0; point < tool.contact_points; ++point) {
-                          add_contact(state, contact, center, contact_place(contact, tool, point, triangle), triangle,
-                                      tool.friction, own);
-                        }
-                      }
-                    });
+      for_each_triangle(team, contact, [&](std::uint32_t triangle) {
+        if (balance.row_body[TriangleRows<Real>(contact, triangle).rows[0]] != body) return;
+        for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+          const physics::PlacedTool<Real>& tool = contact.tools[t];
+          for (std::uint32_t point = 0; point < tool.contact_points; ++point) {
+            add_contact(state, contact, center, contact_place(contact, tool, point, triangle), triangle, tool.friction,
+                        own);
+          }
+        }
+      });
     }
     if (links.count() > 0) {
       team.for_each(links.patch_rows[patch.index], links.patch_rows[patch.index + 1], [&](std::uint32_t i) {

@@ -19,11 +19,63 @@ struct Corners {
   TM_HOST_DEVICE Vec3<Real> normal() const { return physics::cross<Real>(x[1] - x[0], x[2] - x[0]); }
 };
 
+/// Returns whether an element carries a triangle (view::CarriedView).
+template <class Real>
+TM_HOST_DEVICE bool is_carried(const view::ContactView<Real>& contact, std::uint32_t triangle) {
+  return triangle >= contact.carried.first;
+}
+
+/// The rows whose motion a triangle follows: those of its three corners, or the four of the element that carries it.
+template <class Real>
+struct TriangleRows {
+  const std::uint32_t* rows;
+  const Real* weights;  // view::CarriedView::weights; nullptr: corner k is row k
+
+  TM_HOST_DEVICE TriangleRows(const view::ContactView<Real>& contact, std::uint32_t triangle)
+      : rows(contact.triangle_rows + std::size_t{3} * triangle), weights(nullptr) {
+    if (!is_carried(contact, triangle)) return;
+    const std::size_t place = triangle - contact.carried.first;
+    rows = contact.carried.rows + 4 * place;
+    weights = contact.carried.weights + 12 * place;
+  }
+  TM_HOST_DEVICE std::uint32_t count() const { return weights == nullptr ? 3 : 4; }
+  /// Returns the share of the k-th row in a sum over the corners.
+  TM_HOST_DEVICE Real share(std::uint32_t k, const Vec3<Real>& of_corners) const {
+    if (weights == nullptr) return of_corners[static_cast<Eigen::Index>(k)];
+    return weights[k] * of_corners[0] + weights[4 + k] * of_corners[1] + weights[8 + k] * of_corners[2];
+  }
+};
+
+/// Returns a vector for each corner of a triangle. of_row(row): that of a row
+template <class Real, class OfRow>
+TM_HOST_DEVICE Corners<Real> at_corners(const view::ContactView<Real>& contact, std::uint32_t triangle,
+                                        const OfRow& of_row) {
+  const TriangleRows<Real> of(contact, triangle);
+  if (of.weights == nullptr) return {{of_row(of.rows[0]), of_row(of.rows[1]), of_row(of.rows[2])}};
+  Corners<Real> out{{Vec3<Real>::Zero(), Vec3<Real>::Zero(), Vec3<Real>::Zero()}};
+  for (std::uint32_t k = 0; k < 4; ++k) {
+    const Vec3<Real> v = of_row(of.rows[k]);
+    for (std::uint32_t c = 0; c < 3; ++c) out.x[c] += v * of.weights[4 * c + k];
+  }
+  return out;
+}
+
 template <class Real>
 TM_HOST_DEVICE Corners<Real> corners_of(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                                         std::uint32_t triangle) {
-  const std::uint32_t* rows = contact.triangle_rows + std::size_t{3} * triangle;
-  return {{view::position(state, rows[0]), view::position(state, rows[1]), view::position(state, rows[2])}};
+  return at_corners<Real>(contact, triangle, [&](std::uint32_t row) { return view::position(state, row); });
+}
+
+/// Calls body(triangle) for the triangles of the team's patch.
+template <class Team, class Real, class Body>
+TM_HOST_DEVICE void for_each_triangle(const Team& team, const view::ContactView<Real>& contact, const Body& body) {
+  const std::uint32_t begin = contact.patch_triangles[team.patch()], end = contact.triangles_end[team.patch()];
+  std::uint32_t first = 0, count = 0;  // of the carried ones
+  if (contact.carried.first < contact.triangle_count) {
+    first = contact.carried.patch_triangles[team.patch()];
+    count = contact.carried.patch_triangles[team.patch() + 1] - first;
+  }
+  team.for_each(begin, end + count, [&](std::uint32_t i) { body(i < end ? i : first + (i - end)); });
 }
 
 template <class Real>
@@ -50,13 +102,23 @@ TM_HOST_DEVICE Vec3<Real> pseudonormal(const view::StateView<Real>& state, const
   const int corner = static_cast<int>(feature) - static_cast<int>(TriangleFeature::kVertex0);
   const std::uint32_t vertex = contact.vertex_of_corner[std::size_t{3} * triangle + corner];
   Vec3<Real> sum = Vec3<Real>::Zero();
-  for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_end[vertex]; ++i) {
-    const Corners<Real> around = corners_of(state, contact, contact.incidence[4 * i]);
-    const std::uint32_t c = contact.incidence[4 * i + 1];
+  const auto add = [&](std::uint32_t of, std::uint32_t c) {
+    const Corners<Real> around = corners_of(state, contact, of);
     const Vec3<Real> to_next = unit<Real>(around.x[(c + 1) % 3] - around.x[c]);
     const Vec3<Real> to_previous = unit<Real>(around.x[(c + 2) % 3] - around.x[c]);
     const Real angle = acos(minimum(maximum(to_next.dot(to_previous), Real(-1)), Real(1)));
     sum += unit<Real>(around.normal()) * angle;
+  };
+  if (vertex < contact.vertex_count) {
+    for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_end[vertex]; ++i) {
+      add(contact.incidence[4 * i], contact.incidence[4 * i + 1]);
+    }
+  }
+  if (contact.carried.first < contact.triangle_count) {
+    const view::CarriedView<Real>& carried = contact.carried;
+    for (std::uint32_t i = carried.around_begin[vertex]; i < carried.around_begin[vertex + 1]; ++i) {
+      add(carried.around[2 * i], carried.around[2 * i + 1]);
+    }
   }
   return sum;
 }
@@ -80,12 +142,13 @@ TM_HOST_DEVICE std::size_t contact_place(const view::ContactView<Real>& contact,
 template <class Real>
 struct ContactPoint {
   const view::StateView<Real>& state;
-  const std::uint32_t* rows;  // rows of the triangle's corners
+  const view::ContactView<Real>& contact;
+  const std::uint32_t triangle;
   const view::TriangleContact<Real>& touch;
 
-  TM_HOST_DEVICE ContactPoint(const view::StateView<Real>& of_state, const view::ContactView<Real>& contact,
-                              std::uint32_t triangle, const view::TriangleContact<Real>& of_touch)
-      : state(of_state), rows(contact.triangle_rows + std::size_t{3} * triangle), touch(of_touch) {}
+  TM_HOST_DEVICE ContactPoint(const view::StateView<Real>& of_state, const view::ContactView<Real>& of_contact,
+                              std::uint32_t of_triangle, const view::TriangleContact<Real>& of_touch)
+      : state(of_state), contact(of_contact), triangle(of_triangle), touch(of_touch) {}
 
   TM_HOST_DEVICE Vec3<Real> weights() const { return {touch.weight[0], touch.weight[1], touch.weight[2]}; }
   TM_HOST_DEVICE Vec3<Real> normal() const { return {touch.normal[0], touch.normal[1], touch.normal[2]}; }
@@ -93,15 +156,12 @@ struct ContactPoint {
   TM_HOST_DEVICE Vec3<Real> tangential(const Vec3<Real>& v) const { return v - normal() * normal().dot(v); }
   /// Returns d of the corners before the solve, up to the end of the step.
   TM_HOST_DEVICE Corners<Real> change_ahead() const {
-    Corners<Real> change;
-    for (int c = 0; c < 3; ++c) change.x[c] = view::change_ahead_to_end(state, rows[c]);
-    return change;
+    return at_corners<Real>(contact, triangle,
+                            [&](std::uint32_t row) { return view::change_ahead_to_end(state, row); });
   }
   /// Returns d of the corners after the solve, up to the end of the step.
   TM_HOST_DEVICE Corners<Real> change_made() const {
-    Corners<Real> change;
-    for (int c = 0; c < 3; ++c) change.x[c] = view::change_made_to_end(state, rows[c]);
-    return change;
+    return at_corners<Real>(contact, triangle, [&](std::uint32_t row) { return view::change_made_to_end(state, row); });
   }
   /// Returns the force along n after a motion of the corners; negative if it pulls [N].
   TM_HOST_DEVICE Real pressure_after(const Corners<Real>& motion) const {
@@ -109,14 +169,16 @@ struct ContactPoint {
   }
   /// Returns where the contact was generated, after the solve.
   TM_HOST_DEVICE Corners<Real> corners_before() const {
-    Corners<Real> corners;
-    for (int c = 0; c < 3; ++c) corners.x[c] = view::position(state, rows[c]) - view::change_made(state, rows[c]);
-    return corners;
+    return at_corners<Real>(contact, triangle, [&](std::uint32_t row) -> Vec3<Real> {
+      return view::position(state, row) - view::change_made(state, row);
+    });
   }
   /// Returns D: how far the point moves in the whole step [m].
   TM_HOST_DEVICE Vec3<Real> motion_in_step() const {
+    const Corners<Real> motion =
+        at_corners<Real>(contact, triangle, [&](std::uint32_t row) { return view::motion_to_end(state, row); });
     Vec3<Real> sum = Vec3<Real>::Zero();
-    for (int c = 0; c < 3; ++c) sum += view::motion_to_end(state, rows[c]) * touch.weight[c];
+    for (int c = 0; c < 3; ++c) sum += motion.x[c] * touch.weight[c];
     return sum;
   }
 };

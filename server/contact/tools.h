@@ -3,13 +3,13 @@
 #include <cmath>
 
 #include "contact/balance.h"
+#include "contact/carried.h"
 #include "contact/friction.h"
 #include "contact/line.h"
 #include "contact/solid.h"
 #include "contact/surface.h"
 #include "contact/tilt.h"
 #include "contact/touch.h"
-#include "matrix/edges.h"
 #include "physics/lists.h"
 #include "view/scene.h"
 
@@ -29,7 +29,7 @@
 ///    depth. The triangle is in contact if that depth is positive. With a solid it has four, without a core (solid.h).
 /// 2. The force at the *end* of the step is k (depth − n·Σ w_a d_a) along n, and the forces of tilt (tilt.h). It enters
 ///    the same linear system as the tissue. Its derivative has three diagonal blocks and the edge tensors between the
-///    three corners. The mesh has those edges anyway.
+///    three corners. The mesh has those edges anyway (assembly.h).
 /// 3. Each step decides once for each core point whether it is inside the tissue: at the closest point of the whole
 ///    surface, by the angle-weighted pseudonormal there (Bærentzen, Aanæs 2005). Between two core points, c is inside
 ///    up to where the core crosses the surface (CoreDepths).
@@ -46,11 +46,13 @@
 namespace tensormass::contact {
 
 /// Finds the triangle of this patch that is closest to a core point, and on which side of it the point lies.
-/// place: the core point's, among those of all tools.
+///
+///   place    the core point's, among those of all tools
+///   slit_m   slit_width of the tool
 template <class Team, class Real>
 TM_HOST_DEVICE void query_core_point(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                                      const view::ContactView<Real>& contact, const Vec3<Real>& point,
-                                     std::uint32_t place) {
+                                     std::uint32_t place, Real slit_m) {
   struct Offset {
     Vec3<Real> vector;  // from the triangle's closest point to the core point
     physics::TriangleFeature feature;
@@ -62,15 +64,15 @@ TM_HOST_DEVICE void query_core_point(Team& team, const view::PatchesView& patche
   };
   Real best = Real(1e30);
   std::uint32_t best_triangle = view::kNoTriangle;
-  team.for_each(contact.patch_triangles[team.patch()], contact.triangles_end[team.patch()],
-                [&](std::uint32_t triangle) {
-                  const Vec3<Real> offset = offset_from(triangle).vector;
-                  const Real squared = offset.dot(offset);
-                  if (squared < best) {
-                    best = squared;
-                    best_triangle = triangle;
-                  }
-                });
+  for_each_triangle(team, contact, [&](std::uint32_t triangle) {
+    if (!stands_open(state, contact, triangle, slit_m)) return;
+    const Vec3<Real> offset = offset_from(triangle).vector;
+    const Real squared = offset.dot(offset);
+    if (squared < best) {
+      best = squared;
+      best_triangle = triangle;
+    }
+  });
   team.patch_argmin(best, best_triangle);
   if (!team.leads_patch()) return;
   Real side = 1;
@@ -85,22 +87,21 @@ TM_HOST_DEVICE void query_core_point(Team& team, const view::PatchesView& patche
 }
 
 /// Finds where the triangles of this patch cross the core between a core point and the next.
-/// place: the first core point's, among those of all tools.
+/// place: the first core point's, among those of all tools. slit_m: as above.
 template <class Team, class Real>
 TM_HOST_DEVICE void query_crossings(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                                     const view::ContactView<Real>& contact, const Vec3<Real>& from,
-                                    const Vec3<Real>& to, std::uint32_t place) {
+                                    const Vec3<Real>& to, std::uint32_t place, Real slit_m) {
   constexpr Real kSlack = Real(1e-4);
   Real first = 2, last = -1;
-  team.for_each(contact.patch_triangles[team.patch()], contact.triangles_end[team.patch()],
-                [&](std::uint32_t triangle) {
-                  const Corners<Real> corners = corners_of(state, contact, triangle);
-                  const auto crossing =
-                      physics::segment_crosses_triangle(from, to, corners.x[0], corners.x[1], corners.x[2], kSlack);
-                  if (!crossing.crosses) return;
-                  first = minimum(first, crossing.fraction);
-                  last = maximum(last, crossing.fraction);
-                });
+  for_each_triangle(team, contact, [&](std::uint32_t triangle) {
+    if (!stands_open(state, contact, triangle, slit_m)) return;
+    const Corners<Real> corners = corners_of(state, contact, triangle);
+    const auto crossing = physics::segment_crosses_triangle(from, to, corners.x[0], corners.x[1], corners.x[2], kSlack);
+    if (!crossing.crosses) return;
+    first = minimum(first, crossing.fraction);
+    last = maximum(last, crossing.fraction);
+  });
   first = -team.patch_max(-first);
   last = team.patch_max(last);
   if (!team.leads_patch()) return;
@@ -113,11 +114,13 @@ TM_HOST_DEVICE void query_crossings(Team& team, const view::PatchesView& patches
 template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void query_core(Kind, Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                                const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool) {
+  const Real slit_m = slit_width(tool);
   for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) {
     const Vec3<Real> point = Kind::core_point(tool, i);
-    query_core_point(team, patches, state, contact, point, tool.first_core_point + i);
+    const std::uint32_t place = tool.first_core_point + i;
+    query_core_point(team, patches, state, contact, point, place, slit_m);
     if (i + 1 == Kind::kCorePoints) break;
-    query_crossings(team, patches, state, contact, point, Kind::core_point(tool, i + 1), tool.first_core_point + i);
+    query_crossings(team, patches, state, contact, point, Kind::core_point(tool, i + 1), place, slit_m);
   }
 }
 
@@ -317,26 +320,36 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     const Vec3<Real> tool_motion = physics::motion_with_joints<Kind, Real>(tool, x - touch.normal * touch.lever_m, x);
     contact.frictions[place] = predict_friction(at, tool, tool_motion, pressure, contact.slips + 4 * place);
   };
-  const std::uint32_t begin = contact.patch_triangles[team.patch()], end = contact.triangles_end[team.patch()];
   if constexpr (Kind::kIsSolid) {
-    team.for_each(begin, end, [&](std::uint32_t triangle) {
+    for_each_triangle(team, contact, [&](std::uint32_t triangle) {
       const Corners<Real> corners = corners_of(state, contact, triangle);
-      const auto last = [&](std::uint32_t point) { return remembered(contact, tool, point, triangle, begins_step); };
-      const Real area = contact.triangle_area[triangle];
+      const Real area = contact.triangle_area[triangle], open = openness(state, contact, triangle, slit_width(area));
+      if (!(open > 0)) {
+        for (std::uint32_t point = 0; point != Kind::kContactPoints; ++point) store(triangle, point, corners, {});
+        return;
+      }
+      const auto last = [&](std::uint32_t point) {
+        Remembered<Real> of_point = remembered(contact, tool, point, triangle, begins_step);
+        of_point.depth_m /= open;
+        return of_point;
+      };
       const Corners<Real> ahead = motion_ahead(state, contact, triangle);
       const Real steepest = steepest_slope(contact, tool, triangle);
-      for_each_touch_of_solid<Kind>(tool, corners, ahead, area, last,
-                                    [&](std::uint32_t point, const Touch<Real>& touch) {
-                                      store(triangle, point, corners, hardened_solid<Kind>(touch, tool, steepest));
-                                    });
+      for_each_touch_of_solid<Kind>(tool, corners, ahead, area, last, [&](std::uint32_t point, Touch<Real> touch) {
+        touch.share *= open;
+        store(triangle, point, corners, hardened_solid<Kind>(touch, tool, steepest));
+      });
     });
   } else {
     const CoreDepths<Kind, Real> core_depths(patches, contact, tool);
     const Real ahead = Real(state.iterates != 0 ? kLineWidth : kLineAhead);
-    team.for_each(begin, end, [&](std::uint32_t triangle) {
+    for_each_triangle(team, contact, [&](std::uint32_t triangle) {
       const Corners<Real> corners = corners_of(state, contact, triangle);
+      const Real open = openness(state, contact, triangle, slit_width(tool));
+      if (!(open > 0)) return store(triangle, 0, corners, {});
       const Remembered<Real> last = remembered(contact, tool, 0, triangle, begins_step);
-      const Touch<Real> touch = touch_of_thin(tool, core_depths, corners, last, ahead);
+      Touch<Real> touch = touch_of_thin(tool, core_depths, corners, last, ahead);
+      if (is_face_of_cut(contact, triangle)) touch = turned_to_tool(touch, corners, last.depth_m, open);
       store(triangle, 0, corners, hardened(touch, last.depth_m / touch.share, tool));
     });
   }
@@ -357,84 +370,6 @@ TM_HOST_DEVICE void generate_contacts(const Team& team, const view::PatchesView&
         generate_contacts_with<Kind>(team, patches, state, contact, tool, begins_step);
     });
   }
-}
-
-/// Adds to one row of the system what a contact does to one corner of its triangle.
-///
-///   place       index of the contact
-///   incidence   the corner's entry of ContactView::incidence
-///   row         row of the corner
-template <class Real>
-TM_HOST_DEVICE void assemble_contact(const view::StateView<Real>& state, const view::MatrixView<Real>& matrix,
-                                     const view::ContactView<Real>& contact, std::size_t place,
-                                     const std::uint32_t* incidence, std::uint32_t row, bool has_friction) {
-  const view::TriangleContact<Real>& touch = contact.contacts[place];
-  if (!touches(touch)) return;
-  const std::uint32_t triangle = incidence[0], corner = incidence[1];
-  const Real weight = touch.weight[corner];
-  // Otherwise the contact is at another corner or edge, and tilt does not concern this one.
-  const auto concerns = [&](std::uint32_t c) {
-    return touch.weight[c] != 0 || touch.line_stiffness * touch.line[c] != 0;
-  };
-  if (!concerns(corner)) return;
-  const ContactPoint<Real> at(state, contact, triangle, touch);
-  const Real h = view::step_size(state), factor = view::contact_factor(state);
-  const Vec3<Real> n = at.normal();
-  const Corners<Real> change = at.change_ahead();
-  Vec3<Real> force = n * at.pressure_after(change);
-  Mat3<Real> stiffness = n * n.transpose() * touch.stiffness;
-  if (has_friction) {
-    const view::TriangleFriction<Real>& friction = contact.frictions[place];
-    const Vec3<Real> stretch = stretch_of(at, friction);
-    force += stretch * friction.stiffness;
-    Mat3<Real> across = Mat3<Real>::Identity() - n * n.transpose();
-    if (state.iterates != 0 && friction.stiffness < touch.stiffness) {
-      const Vec3<Real> slip = unit<Real>(stretch);
-      across -= slip * slip.transpose() * Real(kIteratedSlip);
-    }
-    stiffness += across * friction.stiffness;
-  }
-  const Tilt<Real> tilt(corners_of(state, contact, triangle), touch);
-  const LineTilt<Real> line(touch);
-  const auto own_corner = static_cast<int>(corner);
-  force = force * weight + tilt.force(own_corner, tilt.of(change)) + line.force(own_corner, line.of(change));
-  const auto block = [&](std::uint32_t other) {
-    const auto of = static_cast<int>(other);
-    const Mat3<Real> tilted = tilt.block(own_corner, of) + line.block(own_corner, of);
-    return Mat3<Real>((stiffness * (weight * touch.weight[other]) + tilted) * factor);
-  };
-  view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + force * h);
-  const Mat3<Real> own = block(corner);
-  Real* d = matrix.diagonal + std::size_t{8} * row;
-  for (int i = 0, c = 0; i < 3; ++i) {
-    for (int j = i; j < 3; ++j, ++c) d[c] += own(i, j);
-  }
-  for (std::uint32_t k = 1; k <= 2; ++k) {
-    const std::uint32_t slot = incidence[1 + k], other = (corner + k) % 3;
-    if (slot != view::kNoPlace && concerns(other)) matrix::add_to_block<Real>(matrix, slot, block(other));
-  }
-}
-
-/// Stage 3: adds contacts to the linear system. Each surface node gathers from the triangles around it.
-/// Reads contacts, frictions, velocity; adds to edges, diagonal, rhs.
-template <class Team, class Real>
-TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                             const view::MatrixView<Real>& matrix, const view::ContactView<Real>& contact) {
-  const view::Patch patch = view::patch_of(patches, team.patch());
-  team.for_each(contact.patch_surface[patch.index], contact.surface_end[patch.index], [&](std::uint32_t vertex) {
-    const std::uint32_t row = contact.surface_rows[vertex];
-    for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
-      const physics::PlacedTool<Real>& tool = contact.tools[t];
-      const std::uint32_t points = tool.contact_points;
-      for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_end[vertex]; ++i) {
-        const std::uint32_t* incidence = contact.incidence + std::size_t{4} * i;
-        for (std::uint32_t point = 0; point < points; ++point) {
-          const std::size_t place = contact_place(contact, tool, point, incidence[0]);
-          assemble_contact(state, matrix, contact, place, incidence, row, tool.friction > 0);
-        }
-      }
-    }
-  });
 }
 
 /// Measures the load on tool t, and takes what its contacts remember to the end of the step.
@@ -466,7 +401,9 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
       if (has_friction) {
         stretch = stretch_of(at, contact.frictions[place]);
         Vec3<Real> drag = stretch * contact.frictions[place].stiffness;
-        const std::uint32_t body = balance.row_body == nullptr ? view::kNoBody : balance.row_body[at.rows[0]];
+        const std::uint32_t body = balance.row_body == nullptr
+                                       ? view::kNoBody
+                                       : balance.row_body[TriangleRows<Real>(contact, triangle).rows[0]];
         if (body != view::kNoBody) {
           const Vec3<Real> x = corners_of(state, contact, triangle).at(at.weights());
           drag = balanced_friction(at, balance.corrections[body], tool.friction, stretch, pressure, x);
@@ -504,10 +441,9 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
     }
     if (remembers) end_contact(at, contact, tool, stretch, maximum(pressure, Real(0)), place);
   };
-  team.for_each(contact.patch_triangles[team.patch()], contact.triangles_end[team.patch()],
-                [&](std::uint32_t triangle) {
-                  for (std::uint32_t i = 0; i != Kind::kContactPoints; ++i) add(triangle, i);
-                });
+  for_each_triangle(team, contact, [&](std::uint32_t triangle) {
+    for (std::uint32_t i = 0; i != Kind::kContactPoints; ++i) add(triangle, i);
+  });
   for (int c = 0; c < 3; ++c) {
     sums[c] = force[c];
     sums[3 + c] = torque[c];

@@ -71,16 +71,12 @@ template <class Real>
 TM_HOST_DEVICE Corners<Real> motion_ahead(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                                           std::uint32_t triangle) {
   const Real h = view::step_size(state);
-  Corners<Real> motion;
-  for (std::size_t c = 0; c < 3; ++c) {
-    const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
-    motion.x[c] = view::change_ahead_to_end(state, row);
+  return at_corners<Real>(contact, triangle, [&](std::uint32_t row) {
+    Vec3<Real> motion = view::change_ahead_to_end(state, row);
     const Real mass = state.inertia[std::size_t{4} * row];
-    if (state.external != nullptr && mass > 0) {
-      motion.x[c] += view::load3<Real>(state.external, row) * (h * h / mass);
-    }
-  }
-  return motion;
+    if (state.external != nullptr && mass > 0) motion += view::load3<Real>(state.external, row) * (h * h / mass);
+    return motion;
+  });
 }
 
 /// Returns the stiffness at which a spring and the mass of a contact point have a period of about six steps [N/m].
@@ -89,9 +85,9 @@ TM_HOST_DEVICE Real inertial_stiffness(const view::StateView<Real>& state, const
                                        std::uint32_t triangle, const Vec3<Real>& weights) {
   const Real h = view::step_size(state);
   Real mass = 0;
-  for (std::size_t c = 0; c < 3; ++c) {
-    const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
-    mass += state.inertia[std::size_t{4} * row] * weights[static_cast<Eigen::Index>(c)];
+  const TriangleRows<Real> of(contact, triangle);
+  for (std::uint32_t k = 0; k < of.count(); ++k) {
+    mass += state.inertia[std::size_t{4} * of.rows[k]] * of.share(k, weights);
   }
   return mass / (h * h);
 }

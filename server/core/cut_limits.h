@@ -10,6 +10,8 @@ namespace tensormass::limits {
 inline constexpr std::size_t kMaxBladePoints = 32, kMaxBladePositions = 1024;
 /// Cuts of a body until a reset; a further one is refused. Whoever joins a scene has all of them made again.
 inline constexpr std::size_t kMaxCutsOfBody = 1024;
+/// Triangles that cuts add to what tools touch; a cut that needs more is refused.
+inline constexpr std::uint32_t kMaxCarriedTriangles = 1'000'000;
 /// Edges of a body's mesh that one cut may cross; a cut of more is refused.
 inline constexpr std::uint32_t kMaxEdgesOfCut = 1'000'000;
 

@@ -143,16 +143,6 @@ class Builder {
     }
   }
 
-  static bool has_cut_edge(const ElementCut& cut, const Face& face) {
-    const auto end = face.nodes.begin() + face.node_count;
-    const auto has = [&](std::uint8_t node) { return std::find(face.nodes.begin(), end, node) != end; };
-    for (std::size_t i = 0; i < cut.shape->edges.size(); ++i) {
-      const auto [a, b] = cut.shape->edges[i].nodes;
-      if (cut.is_cut(i) && has(a) && has(b)) return true;
-    }
-    return false;
-  }
-
   void add_sheet(std::uint32_t element) {
     const ElementCut cut = cut_.element_cut(element);
     std::array<CutTriangle, kMaxSheetTriangles> room;
@@ -251,6 +241,16 @@ class Builder {
 };
 
 }  // namespace
+
+bool has_cut_edge(const ElementCut& cut, const Face& face) {
+  const auto end = face.nodes.begin() + face.node_count;
+  const auto has = [&](std::uint8_t node) { return std::find(face.nodes.begin(), end, node) != end; };
+  for (std::size_t i = 0; i < cut.shape->edges.size(); ++i) {
+    const auto [a, b] = cut.shape->edges[i].nodes;
+    if (cut.is_cut(i) && has(a) && has(b)) return true;
+  }
+  return false;
+}
 
 Eigen::Vector3d CutSurface::position(std::uint32_t vertex, std::span<const Eigen::Vector3d> row_positions_m) const {
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();

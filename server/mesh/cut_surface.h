@@ -32,6 +32,9 @@ struct CutSurface {
   Eigen::Vector3d position(std::uint32_t vertex, std::span<const Eigen::Vector3d> row_positions_m) const;
 };
 
+/// Returns whether an edge of a face is cut.
+bool has_cut_edge(const ElementCut& cut, const Face& face);
+
 /// Returns the rest position of each row [m]: its node's.
 std::vector<Eigen::Vector3d> row_positions(const Cut& cut);
 

@@ -112,6 +112,7 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.contact.tool_count = static_cast<uint32_t>(tools);
   s.contact.contact_points = m.contact_points();
   s.contact.triangle_count = m.contact.triangle_count();
+  s.contact.vertex_count = static_cast<std::uint32_t>(m.contact.surface_rows.size());
   s.state.control = exchange.control;
   s.contact.tools = exchange.tools;
   s.prescribed.displacement = exchange.prescribed;
@@ -219,6 +220,19 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.contact.incidence_end =
       end_or_next(place_buffer<EditBuffer::kIncidenceEnd, Real>(m, arena, bound.buffers), s.contact.incidence_begin);
   s.contact.incidence = place_buffer<EditBuffer::kIncidence, Real>(m, arena, bound.buffers);
+  const CarriedTriangles& carried = m.contact.carried;
+  s.contact.carried.first = m.contact.outer_count();
+  s.contact.carried.rows = arena.template constant<uint32_t>("carried triangles", carried.rows);
+  s.contact.carried.weights = arena.template constant<Real>("weights of carried triangles", carried.weights);
+  s.contact.carried.twins = arena.template constant<uint32_t>("twins of carried triangles", carried.twins);
+  s.contact.carried.patch_triangles =
+      arena.template constant<uint32_t>("carried triangles of patches", carried.patch_triangles);
+  s.contact.carried.patch_rows = arena.template constant<uint32_t>("carrying rows of patches", carried.patch_rows);
+  s.contact.carried.entry_begin = arena.template constant<uint32_t>("offsets of carrying rows", carried.entry_begin);
+  s.contact.carried.entries = arena.template constant<uint32_t>("carrying rows", carried.entries);
+  s.contact.carried.around_begin =
+      arena.template constant<uint32_t>("offsets of carried triangles around vertices", carried.around_begin);
+  s.contact.carried.around = arena.template constant<uint32_t>("carried triangles around vertices", carried.around);
   s.contact.closest = arena.template zeros<view::ClosestTriangle<Real>>("contact closest", m.core_points() * patches);
   s.contact.contacts = arena.template zeros<view::TriangleContact<Real>>("contacts", m.contact_points() * triangles);
   s.contact.samples = arena.template constant<float>("tool samples", m.tool_samples);

@@ -108,16 +108,31 @@ void check_surfaces(const Model& m) {
     contact_points += tool.contact_points;
   }
   if (triangles > 0) {
-    assert_offsets(contact.patch_triangles, m.layout.patch_count, triangles);
+    assert_offsets(contact.patch_triangles, m.layout.patch_count, contact.outer_count());
     assert_offsets(contact.patch_surface, m.layout.patch_count, contact.surface_rows.size());
     assert_offsets(contact.incidence_begin, contact.surface_rows.size(), contact.incidence.size() / 4);
   }
-  TM_ASSERT(contact.triangle_rows.size() == 3 * triangles && contact.triangle_neighbours.size() == 3 * triangles &&
+  const CarriedTriangles& carried = contact.carried;
+  const std::size_t outer = contact.outer_count(), vertices = contact.surface_rows.size();
+  TM_ASSERT(outer + carried.count() == triangles && contact.triangle_neighbours.size() == 3 * triangles &&
                 contact.vertex_of_corner.size() == 3 * triangles,
             "a triangle has three corners");
   TM_ASSERT(are_below(contact.triangle_rows, m.layout.row_count), "triangles name rows of the layout");
-  TM_ASSERT(are_below(contact.vertex_of_corner, static_cast<std::uint32_t>(contact.surface_rows.size())),
-            "triangles name surface vertices");
+  const auto all_vertices =
+      static_cast<std::uint32_t>(carried.count() == 0 ? vertices : carried.around_begin.size() - 1);
+  TM_ASSERT(are_below(contact.vertex_of_corner, all_vertices), "triangles name vertices");
+  if (carried.count() > 0) {
+    TM_ASSERT(are_below(carried.rows, m.layout.row_count), "triangles name rows of the layout");
+    TM_ASSERT(carried.weights.size() == 12 * std::size_t{carried.count()} && carried.twins.size() == carried.count(),
+              "a corner has a weight for each row");
+    TM_ASSERT(carried.patch_triangles.front() == outer && carried.patch_triangles.back() == triangles,
+              "carried triangles follow the others");
+    TM_ASSERT(carried.patch_rows.size() == m.layout.patch_count + 1 &&
+                  carried.entry_begin.size() == vertices + carried.patch_rows.back() + 1 &&
+                  carried.entries.size() == 5 * std::size_t{carried.entry_begin.back()} &&
+                  carried.around.size() == 2 * std::size_t{carried.around_begin.back()},
+              "rows and vertices list the triangles around them");
+  }
   TM_ASSERT(m.visible.rows.size() % 4 == 0 && m.visible.weights.size() == m.visible.rows.size(),
             "a visible vertex has four rows and their weights");
   TM_ASSERT(are_below(m.visible.rows, m.layout.row_count), "visible vertices name rows of the layout");

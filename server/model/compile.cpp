@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "core/assert.h"
+#include "core/cut_limits.h"
 #include "core/limits.h"
 #include "mesh/adjacency.h"
 #include "mesh/shapes.h"
@@ -68,6 +69,14 @@ Result<void> check_integrator(const Settings& settings, std::span<const ElementG
         "without prony terms");
   }
   return {};
+}
+
+Result<void> check_carried(const ContactSurface& contact) {
+  if (contact.carried.count() <= limits::kMaxCarriedTriangles) return {};
+  return fail(ErrorCode::kResourceExhausted,
+              fmt::format("tools would touch {} triangles of cuts, more than limits::kMaxCarriedTriangles = {}; cut "
+                          "less finely, or reset the scene",
+                          contact.carried.count(), limits::kMaxCarriedTriangles));
 }
 
 /// Keeps the first findings of too many, and marks those that the scene accepts.
@@ -194,6 +203,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kSurfaces));
   if (!model.tools.empty() || !links.contacts.empty()) {
     model.contact = make_contact_surface(bodies, model.layout);
+    TM_RETURN_IF_ERROR(check_carried(model.contact));
     write_surface_moduli(model.layout, model.contact, model.bodies);
   }
   if (!links.empty()) {

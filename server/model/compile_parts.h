@@ -101,8 +101,13 @@ struct SolveChoice {
 SolveChoice choose_solve(const Settings& settings, const ReadLinks& links, const matrix::Layout& layout,
                          std::span<const ElementGroup> groups, const PatchPolicy& policy);
 
-/// Makes the triangles that tools and bodies can touch: the boundary of all bodies.
+/// Makes the triangles that tools and bodies can touch: the boundary of all bodies, with the faces of their cuts.
 ContactSurface make_contact_surface(const ReadBodies& bodies, const matrix::Layout& layout);
+/// Adds the moduli behind a triangle of the contact surface. element: the one behind it, numbered in the scene
+void add_moduli(std::span<const ReadBody> bodies, std::uint32_t element, ContactSurface& out);
+/// Appends the triangles that elements carry (view::CarriedView) to those that no cut crosses. Nothing happens in a
+/// scene without cuts.
+void carry_triangles(const ReadBodies& bodies, const matrix::Layout& layout, ContactSurface& surface);
 
 struct LinkInput {
   const ReadBodies& bodies;

@@ -132,6 +132,7 @@ std::unique_ptr<BodyCut> BodyCut::copy() const {
   out->cut_again(batches_);
   out->batches_ = batches_;
   out->shares_ = shares_;
+  out->surface_ = surface_;
   out->pieces_ = pieces_;
   out->whole_pieces_ = whole_pieces_;
   out->area_m2_ = area_m2_;
@@ -171,7 +172,8 @@ Result<void> BodyCut::make_cut(std::uint32_t order, std::vector<mesh::CutEdge> e
     return fail(ErrorCode::kResourceExhausted,
                 "the mesh is cut into more parts than it has room for; cut less finely, or reset the scene");
   }
-  const mesh::CutSurface surface = mesh::visible_surface(cut_);
+  surface_ = std::make_shared<const mesh::CutSurface>(mesh::visible_surface(cut_));
+  const mesh::CutSurface& surface = *surface_;
   changes_.take(surface);
   pieces_ = pieces_of(cut_);
   shares_ = shares_in_physics(cut_);
@@ -231,16 +233,20 @@ ElementPart part_of(const ReadBody& body, std::uint32_t element) {
   return {loaded, part, part == kNone ? nullptr : &body.cut->shares()[part]};
 }
 
+bool carries_triangles(const mesh::Topology& shape) { return &shape == &mesh::topology(mesh::Shape::kTetrahedron); }
+
 std::vector<mesh::BoundaryFace> uncut_boundary_faces(const ReadBody& body) {
   if (body.cut == nullptr) return mesh::boundary_faces(body.mesh);
   const BodyCut& cut = *body.cut;
   std::vector<mesh::BoundaryFace> out;
   for (const mesh::BoundaryFace& face : cut.whole().faces) {
+    const mesh::Topology& shape = cut.topology().shape(face.element);
+    const mesh::Face& local = shape.faces[face.face];
+    if (carries_triangles(shape) && mesh::has_cut_edge(cut.cut().element_cut(face.element), local)) continue;
     if (cut.cut().first_part(face.element) == kNone) {
       out.push_back(face);
       continue;
     }
-    const mesh::Face& local = cut.topology().shape(face.element).faces[face.face];
     const std::uint32_t part = cut.cut().part_of(face.element, local.nodes[0]);
     const std::uint8_t corners = cut.cut().parts()[part].corners;
     const bool is_uncut = std::all_of(local.nodes.begin(), local.nodes.begin() + std::ptrdiff_t(local.corner_count()),

@@ -9,6 +9,7 @@
 #include "core/result.h"
 #include "mesh/cut.h"
 #include "mesh/cut_changes.h"
+#include "mesh/cut_surface.h"
 #include "mesh/surface.h"
 #include "model/compile_parts.h"
 #include "model/read_parts.h"
@@ -71,6 +72,8 @@ class BodyCut {
   /// What physics takes of each part of the cut: crumbs.h.
   const std::vector<mesh::PartShares>& shares() const { return shares_; }
   const mesh::CutChanges& changes() const { return changes_; }
+  /// The whole surface after the last cut. Must have a cut.
+  const mesh::CutSurface& surface() const { return *surface_; }
   const std::vector<CutBatch>& batches() const { return batches_; }
   double area_m2() const { return area_m2_; }  ///< sum over all cuts, one side of each
   /// What hangs together, by lowest row; and the same of the body as loaded.
@@ -87,6 +90,7 @@ class BodyCut {
   std::shared_ptr<const Whole> whole_;
   mesh::Cut cut_;
   mesh::CutChanges changes_;
+  std::shared_ptr<const mesh::CutSurface> surface_;
   std::vector<CutBatch> batches_;
   std::vector<mesh::CutPiece> pieces_, whole_pieces_;
   double area_m2_ = 0;
@@ -108,8 +112,11 @@ struct ElementPart {
 /// element: numbered in the body
 ElementPart part_of(const ReadBody& body, std::uint32_t element);
 
+/// Returns whether tools touch faces of cuts in elements of a shape (view::CarriedView).
+bool carries_triangles(const mesh::Topology& shape);
+
 /// Returns the faces that belong to one element of the mesh as loaded and that no cut crosses, with the rows of the
-/// copies that have them: what tools can touch. Numbered in the body.
+/// copies that have them. Numbered in the body. With those that elements carry, tools can touch all of the surface.
 std::vector<mesh::BoundaryFace> uncut_boundary_faces(const ReadBody& body);
 
 /// Returns what is left of the rings of a body that is cut: members that still hang together by their faces.

@@ -70,7 +70,7 @@ class LinkMaker {
     for (std::uint32_t v = 0; v < contact.surface_rows.size(); ++v) {
       surfaces_[body_of_row(contact.surface_rows[v])].vertices.push_back(v);
     }
-    for (std::uint32_t t = 0; t < contact.triangle_count(); ++t) {
+    for (std::uint32_t t = 0; t < contact.outer_count(); ++t) {
       surfaces_[body_of_row(contact.triangle_rows[3 * std::size_t{t}])].triangles.push_back(t);
     }
     for (const BodyContactModel& pair : in_.links.contacts) {
@@ -155,7 +155,7 @@ class LinkMaker {
     for (const std::uint32_t triangle : surface.triangles) {
       for (std::size_t corner = 0; corner < 3; ++corner) {
         const std::uint32_t across = contact.triangle_neighbours[3 * std::size_t{triangle} + corner];
-        if (across == view::kNoTriangle || across < triangle) continue;  // each edge once
+        if (across >= contact.outer_count() || across < triangle) continue;  // none, carried; or each edge once
         const Eigen::Vector3d normal = normal_of(triangle), other_normal = normal_of(across);
         if (!(normal.dot(other_normal) < kSharpTurnCosine)) continue;
         const std::array<std::uint32_t, 3> rows{row_of_corner(triangle, corner), row_of_corner(triangle, corner + 1),

@@ -129,15 +129,31 @@ struct PressureSurface {
   bool conserves_energy = true;             ///< its stiffness is symmetric on every body, and the matrix has it
 };
 
-/// The boundary of the bodies, for contact. Triangles and vertices are grouped by the patch that owns them.
+/// Contact triangles that elements carry: view::CarriedView.
+struct CarriedTriangles {
+  std::vector<std::uint32_t> rows;             ///< [carried, 4]
+  std::vector<double> weights;                 ///< [carried, 3, 4]
+  std::vector<std::uint32_t> twins;            ///< [carried]
+  std::vector<std::uint32_t> patch_triangles;  ///< [patch_count + 1]
+  std::vector<std::uint32_t> patch_rows;       ///< [patch_count + 1]
+  std::vector<std::uint32_t> entry_begin;      ///< [surface vertex, then row without one + 1]
+  std::vector<std::uint32_t> entries;          ///< [entry, 5]
+  std::vector<std::uint32_t> around_begin;     ///< [surface vertex, then vertex that only they have + 1]
+  std::vector<std::uint32_t> around;           ///< [entry, 2]
+
+  std::uint32_t count() const { return static_cast<std::uint32_t>(rows.size() / 4); }
+};
+
+/// The boundary of the bodies, for contact. Triangles and vertices are grouped by the patch that owns them. Carried
+/// triangles follow the others, and are grouped by patch too.
 struct ContactSurface {
-  std::vector<std::uint32_t> triangle_rows;        ///< [triangle_count, 3]
+  std::vector<std::uint32_t> triangle_rows;        ///< [outer_count, 3]
   std::vector<std::uint32_t> triangle_neighbours;  ///< [triangle_count, 3]
   std::vector<std::uint32_t> patch_triangles;      ///< [patch_count + 1]; a scene with editing has room behind them
   std::vector<double> triangle_area;               ///< [triangle_count] m²
   std::vector<double> triangle_moduli;             ///< [triangle_count, 2], see ContactView
-  std::vector<std::uint32_t> triangle_elements;    ///< [triangle_count] as loaded; mesh::kNone: room for another
-  std::vector<std::uint32_t> vertex_of_corner;     ///< [triangle_count, 3]
+  std::vector<std::uint32_t> triangle_elements;    ///< [triangle_count]; mesh::kNone: room for another
+  std::vector<std::uint32_t> vertex_of_corner;     ///< [triangle_count, 3], see ContactView
   std::vector<std::uint32_t> surface_rows;         ///< [surface vertex]
   std::vector<std::uint32_t> patch_surface;        ///< [patch_count + 1]
   std::vector<std::uint32_t> incidence_begin;      ///< [surface vertex + 1]
@@ -147,7 +163,15 @@ struct ContactSurface {
   std::vector<std::uint32_t> triangles_end;  ///< [patch_count]
   std::vector<std::uint32_t> surface_end;    ///< [patch_count]
   std::vector<std::uint32_t> incidence_end;  ///< [surface vertex]
+  CarriedTriangles carried;
 
+  /// Triangles between three rows: what no cut crosses of the boundary.
+  std::uint32_t outer_count() const { return static_cast<std::uint32_t>(triangle_rows.size() / 3); }
+  /// Returns a row of a triangle. All of its rows are of one body.
+  std::uint32_t row_of(std::size_t triangle) const {
+    const std::size_t outer = outer_count();
+    return triangle < outer ? triangle_rows[3 * triangle] : carried.rows[4 * (triangle - outer)];
+  }
   std::uint32_t triangle_count() const { return static_cast<std::uint32_t>(triangle_area.size()); }
 };
 

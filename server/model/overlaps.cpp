@@ -199,7 +199,7 @@ class Overlaps {
       place[vertex] = static_cast<std::uint32_t>(all[bodies[vertex]].vertices.size());
       all[bodies[vertex]].vertices.push_back(in_.bodies.merged.nodes[node]);
     }
-    std::vector<std::uint32_t> triangle_place(contact.triangle_count());
+    std::vector<std::uint32_t> triangle_place(contact.outer_count());
     for (std::size_t t = 0; t < triangle_place.size(); ++t) {
       const std::uint32_t* corners = &contact.vertex_of_corner[3 * t];
       RestSurface& of = all[bodies[corners[0]]];
@@ -210,7 +210,7 @@ class Overlaps {
       auto& neighbours = all[bodies[contact.vertex_of_corner[3 * t]]].neighbours.emplace_back();
       for (std::size_t i = 0; i < 3; ++i) {
         const std::uint32_t across = contact.triangle_neighbours[3 * t + i];
-        neighbours[i] = across == view::kNoTriangle ? mesh::kNone : triangle_place[across];
+        neighbours[i] = across < triangle_place.size() ? triangle_place[across] : mesh::kNone;
       }
     }
     for (std::size_t b = 0; b < all.size(); ++b) {

@@ -22,14 +22,6 @@ namespace {
 /// Vertices that a scene has room for at least, if its bodies may be cut.
 constexpr std::uint32_t kLeastRoomForCuts = 4096;
 
-/// Adds the moduli behind a triangle of the contact surface. element: the one behind it.
-void add_moduli(std::span<const ReadBody> bodies, std::uint32_t element, ContactSurface& out) {
-  const ReadBody& body = bodies[body_of_element(bodies, element)];
-  const std::array<double, 2> moduli = contact_moduli(body.material(element - body.element_begin));
-  out.triangle_moduli.insert(out.triangle_moduli.end(), moduli.begin(), moduli.end());
-  out.triangle_elements.push_back(element);
-}
-
 /// Returns the boundary of all bodies; of one that is cut, what no cut crosses.
 mesh::Surface boundary_of(const ReadBodies& all) {
   const auto is_cut = [](const ReadBody& body) { return body.cut != nullptr; };
@@ -46,6 +38,13 @@ mesh::Surface boundary_of(const ReadBodies& all) {
 }
 
 }  // namespace
+
+void add_moduli(std::span<const ReadBody> bodies, std::uint32_t element, ContactSurface& out) {
+  const ReadBody& body = bodies[body_of_element(bodies, element)];
+  const std::array<double, 2> moduli = contact_moduli(body.material(element - body.element_begin));
+  out.triangle_moduli.insert(out.triangle_moduli.end(), moduli.begin(), moduli.end());
+  out.triangle_elements.push_back(element);
+}
 
 ContactSurface make_contact_surface(const ReadBodies& bodies, const matrix::Layout& layout) {
   const mesh::Surface surface = boundary_of(bodies);
@@ -100,6 +99,7 @@ ContactSurface make_contact_surface(const ReadBodies& bodies, const matrix::Layo
     out.incidence_begin.push_back(static_cast<std::uint32_t>(out.incidence.size() / 4));
   }
   std::partial_sum(out.patch_surface.begin(), out.patch_surface.end(), out.patch_surface.begin());
+  carry_triangles(bodies, layout, out);
   return out;
 }
 

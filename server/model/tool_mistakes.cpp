@@ -39,7 +39,7 @@ struct StartSurface {
       return x;
     };
     for (const std::uint32_t row : m.contact.surface_rows) vertices.push_back(at_start(row));
-    for (std::size_t t = 0; t < m.contact.triangle_count(); ++t) {
+    for (std::size_t t = 0; t < m.contact.outer_count(); ++t) {
       const std::uint32_t* corners = &m.contact.vertex_of_corner[3 * t];
       triangles.push_back({corners[0], corners[1], corners[2]});
       bodies.push_back(body_of_node(m.bodies, m.layout.node_of_row[m.contact.triangle_rows[3 * t]]));

@@ -287,7 +287,7 @@ void write_surface_moduli(const matrix::Layout& layout, const ContactSurface& co
   std::vector<bool> met(bodies.size(), false);
   for (std::size_t t = 0; t < contact.triangle_count(); ++t) {
     if (contact.triangle_elements[t] == mesh::kNone) continue;
-    const std::size_t b = body_of_node(bodies, layout.node_of_row[contact.triangle_rows[3 * t]]);
+    const std::size_t b = body_of_node(bodies, layout.node_of_row[contact.row_of(t)]);
     SurfaceModuli& body = bodies[b];
     const double young_pa = contact.triangle_moduli[2 * t];
     if (!met[b]) body.least_surface_modulus_pa = body.most_surface_modulus_pa = young_pa;
@@ -301,7 +301,7 @@ VertexSums sums_at_vertices(const ContactSurface& contact) {
   VertexSums out;
   out.area_m2.assign(contact.surface_rows.size(), 0);
   out.stiffness.assign(contact.surface_rows.size(), 0);
-  for (std::uint32_t t = 0; t < contact.triangle_count(); ++t) {
+  for (std::uint32_t t = 0; t < contact.outer_count(); ++t) {
     for (std::size_t i = 0; i < 3; ++i) {
       const std::uint32_t vertex = contact.vertex_of_corner[3 * std::size_t{t} + i];
       out.area_m2[vertex] += contact.triangle_area[t] / 3;

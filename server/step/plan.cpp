@@ -93,7 +93,9 @@ void list_not_modelled(const model::Model& m, v1::SceneReport& report) {
     report.add_not_modelled(
         "the stiffness of pressure where the pressed surface has a free rim: Newton's method takes more iterations");
   }
-  report.add_not_modelled("plasticity, cutting and tearing");
+  const bool is_cut = m.editing && m.edit_tables == nullptr;  // scenes that are cut have no tables to be edited with
+  report.add_not_modelled(is_cut ? "plasticity and tearing" : "plasticity, cutting and tearing");
+  if (is_cut) report.add_not_modelled("contact of the flaps of a cut with each other: they pass through");
   if (m.frame_rate_hz == 0) report.add_not_modelled("frames: frame_rate_hz is 0; no surface is gathered");
 }
 

@@ -2,6 +2,7 @@
 
 #include <type_traits>
 
+#include "contact/assembly.h"
 #include "contact/balance.h"
 #include "contact/links.h"
 #include "contact/tools.h"

@@ -53,13 +53,32 @@ struct ToolLoad {
   ClosestTriangle<Real> tip;            // that of core point 0 in the patch; a solid has none
 };
 
+/// Triangles that elements carry: faces of cuts, and what cuts leave of outer triangles (contact/carried.h). Their
+/// corners are points of one linear tetrahedron, sums of its rows by weights. In a scene without cuts all pointers are
+/// nullptr.
+template <class Real>
+struct CarriedView {
+  std::uint32_t first;  // the first of them: they come after the other triangles. ContactView::triangle_count: none
+  const std::uint32_t* rows;             // [carried, 4] of the element
+  const Real* weights;                   // [carried, 3, 4] of each corner; they sum to 1
+  const std::uint32_t* twins;            // [carried] its triangle on the other face of the cut; kNoTriangle: outer skin
+  const std::uint32_t* patch_triangles;  // [patch_count + 1] numbers of triangles
+  // Rows gather what the triangles of their elements feel. Those of surface vertices come first, the others after them:
+  const std::uint32_t* patch_rows;   // [patch_count + 1] rows without a surface vertex
+  const std::uint32_t* entry_begin;  // [surface vertex, then such a row + 1] into entries
+  const std::uint32_t* entries;      // [.., 5]: triangle, place k of the row in `rows`, slots of k + 1, k + 2, k + 3
+  // Carried triangles around vertices:
+  const std::uint32_t* around_begin;  // [surface vertex, then vertex that only they have + 1] into around
+  const std::uint32_t* around;        // [.., 2]: triangle, corner
+};
+
 template <class Real>
 struct ContactView {
   std::uint32_t tool_count;
-  std::uint32_t triangle_count;
+  std::uint32_t triangle_count;  // with carried ones
   std::uint32_t contact_points;  // contacts that a triangle can have, with all tools
 
-  const std::uint32_t* triangle_rows;        // [triangle_count, 3]
+  const std::uint32_t* triangle_rows;        // [triangle_count, 3], without carried ones
   const std::uint32_t* triangle_neighbours;  // [triangle_count, 3] across the edges 01, 12, 20; kNoTriangle at a rim
   const std::uint32_t* patch_triangles;      // [patch_count] first triangle
   const std::uint32_t* triangles_end;        // [patch_count] last triangle + 1; behind it a scene with editing has room
@@ -70,8 +89,11 @@ struct ContactView {
   const std::uint32_t* surface_end;          // [patch_count]
   const std::uint32_t* incidence_begin;      // [surface vertex]
   const std::uint32_t* incidence_end;        // [surface vertex]
-  const std::uint32_t* incidence;         // [.., 4]: triangle, corner, slots of the two following corners, or kNoPlace
-  const std::uint32_t* vertex_of_corner;  // [triangle_count, 3] surface vertex
+  const std::uint32_t* incidence;  // [.., 4]: triangle, corner, slots of the two following corners, or kNoPlace
+  // [triangle_count, 3] surface vertex; numbers of vertices that only carried triangles have follow those
+  const std::uint32_t* vertex_of_corner;
+  std::uint32_t vertex_count;  // surface vertices
+  CarriedView<Real> carried;
 
   const physics::PlacedTool<Real>* tools;  // [tool_count]
   ClosestTriangle<Real>* closest;          // [core points of all tools, patch_count]

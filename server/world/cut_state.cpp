@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <compare>
 #include <cstddef>
 #include <cstdint>
 #include <map>
@@ -93,21 +94,33 @@ std::vector<double> of_elements(const Model& before, const NodeState& state, con
   return out;
 }
 
-/// A triangle by what it is in the mesh as loaded: its body, and its corners numbered there.
-using TriangleKey = std::array<std::uint32_t, 4>;
+/// A triangle by what no cut changes: its body, and its corners numbered there. One that an element carries has the
+/// nodes of the element, and their weights in its corners.
+struct TriangleKey {
+  std::uint32_t body = 0;
+  std::array<std::uint32_t, 4> nodes{};
+  std::array<double, 12> weights{};
+  auto operator<=>(const TriangleKey&) const = default;
+};
 
 /// Calls visit(key, place) for each triangle of the contact surface in the order of a NodeState.
 template <class Visit>
 void for_each_triangle(const Model& m, const Visit& visit) {
   std::size_t place = 0;
   for (const std::uint32_t triangle : order_of_triangles(m)) {
-    std::array<std::uint32_t, 3> nodes;
-    for (std::size_t c = 0; c < 3; ++c) {
-      nodes[c] = m.layout.node_of_row[m.contact.triangle_rows[3 * std::size_t{triangle} + c]];
+    TriangleKey key;
+    const std::uint32_t outer = m.contact.outer_count();
+    key.body = static_cast<std::uint32_t>(m.body_of_node(m.layout.node_of_row[m.contact.row_of(triangle)]));
+    const bool is_carried = triangle >= outer;
+    const std::uint32_t* rows = is_carried ? &m.contact.carried.rows[4 * std::size_t{triangle - outer}]
+                                           : &m.contact.triangle_rows[3 * std::size_t{triangle}];
+    for (std::size_t k = 0; k < (is_carried ? 4u : 3u); ++k) {
+      key.nodes[k] = m.layout.node_of_row[rows[k]] - m.bodies[key.body].node_begin;
     }
-    const auto body = static_cast<std::uint32_t>(m.body_of_node(nodes[0]));
-    const std::uint32_t begin = m.bodies[body].node_begin;
-    visit(TriangleKey{body, nodes[0] - begin, nodes[1] - begin, nodes[2] - begin}, place++);
+    if (is_carried) {
+      std::copy_n(m.contact.carried.weights.begin() + 12 * std::ptrdiff_t{triangle - outer}, 12, key.weights.begin());
+    }
+    visit(key, place++);
   }
 }
 

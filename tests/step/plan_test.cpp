@@ -69,6 +69,16 @@ TEST(Plan, WithoutToolsHasNoContactStageAndNoContactBuffer) {
   EXPECT_TRUE(says_not_modelled(report, "contact with tools"));
 }
 
+TEST(Plan, SaysWhatASceneThatIsCutLacks) {
+  v1::Scene scene = tests::block_with_probe();
+  EXPECT_TRUE(says_not_modelled(plan(scene), "plasticity, cutting"));
+  scene.mutable_editing();
+  EXPECT_TRUE(says_not_modelled(plan(scene), "plasticity, cutting"));
+  scene.mutable_editing()->mutable_cutting();
+  EXPECT_FALSE(says_not_modelled(plan(scene), "plasticity, cutting"));
+  EXPECT_TRUE(says_not_modelled(plan(scene), "contact of the flaps"));
+}
+
 TEST(Plan, WithoutGravityAndLoadsHasNoExternalForces) {
   v1::Scene scene = tests::beam_scene();
   scene.clear_gravity_m_per_s2();

@@ -7,6 +7,7 @@
 #include "support/editing.h"
 #include "support/laws.h"
 #include "support/operator_new.h"
+#include "support/parted.h"
 #include "support/scenes.h"
 #include "support/strands.h"
 #include "world/loop_outputs.h"
@@ -52,6 +53,28 @@ TEST_P(StepLoop, AllocatesNothing) {
     EXPECT_EQ(allocations.load() - before, 0u);
     EXPECT_GT(world->readings()[0].force_n.norm(), 0) << "contact was among what ran";
   }
+}
+
+class CutTissue : public tests::OnBackendWithParts {};
+
+/// A tool presses on the face of a cut.
+TEST_P(CutTissue, AllocatesNothing) {
+  v1::Scene scene = tests::block_with_probe(false, 6);
+  scene.mutable_editing()->mutable_cutting();
+  scene.mutable_tools(0)->set_friction_coefficient(0.3);
+  scene.mutable_tools(0)->set_max_speed_m_per_s(10);
+  tests::CutBody body(scene);
+  tests::cut_across(body, 1, 0.0303);
+  const auto world = start_apart(scene, body, [](std::uint32_t piece) -> Eigen::Vector3d {
+    return {0, piece == 0 ? 0.0 : 1.0, 0};
+  });
+  const std::uint64_t before = allocations.load();
+  for (int i = 0; i < 10; ++i) {
+    world->set_tool_target(0, {{0.05, 0.038 - 0.0003 * i, 0.05}, {1, 0, 0, 0}});
+    ASSERT_TRUE(world->step(i % 2 == 0));
+  }
+  EXPECT_EQ(allocations.load() - before, 0u);
+  EXPECT_GT(world->readings()[0].force_n.norm(), 0.01) << "contact was among what ran";
 }
 
 /// The loop reads which springs are broken and leaves them in frames.
@@ -201,6 +224,7 @@ TEST_P(StepLoop, AllocatesNothingWhileLoadsGrowInParts) {
 }
 
 TM_ON_EACH_BACKEND(StepLoop);
+TM_ON_EACH_BACKEND(CutTissue);
 
 TEST(ARecording, AllocatesNothingForAStep) {
   const auto backend = backend::make_cpu_backend(1);
