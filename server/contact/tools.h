@@ -303,7 +303,7 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     out.stiffness = 0;
     if (!(touch.depth_m > 0)) {
       const Real pressed_n = remembered(contact, tool, point, triangle, begins_step).pressed_n;
-      if (!closes(state, contact, triangle, touch, tool.keeps_force != 0 ? Real(0) : pressed_n)) return;
+      if (!closes(state, contact, triangle, touch, begins_step ? pressed_n : Real(0))) return;
     }
     for (int c = 0; c < 3; ++c) {
       out.weight[c] = touch.weights[c];

@@ -101,7 +101,7 @@ TM_HOST_DEVICE Real element_stiffness(const view::ContactView<Real>& contact, st
 }
 
 /// Returns whether a contact with a gap closes within the step.
-/// held_back_n: N of the last step, if nothing else counts it; else zero.
+/// held_back_n: N, or zero if tissue is no longer where it pressed.
 template <class Real>
 TM_HOST_DEVICE bool closes(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                            std::uint32_t triangle, const Touch<Real>& touch, Real held_back_n) {
