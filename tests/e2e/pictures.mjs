@@ -1,6 +1,6 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [dissect] [burn] [cut] [snip] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [dissect] [burn] [cut] [snip] [resect] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
 //
 // The default is all of them.
 //
@@ -24,6 +24,7 @@ const PAGES = {
   demo: takeDemo,
   dissect: takeDissect,
   snip: takeSnip,
+  resect: takeResect,
   textured: takeTextured,
   viewer: takeViewer,
   grid: takeGrid,
@@ -39,6 +40,8 @@ const BURNT_STEP = 400;
 const DRAWN_BACK_M = -0.105;
 /** Step of `cut` in which its hand draws the edge through the organ. */
 const CUT_STEP = 300;
+/** Step of `resect` in which its grasper has carried the piece away from the lobe. */
+const CARRIED_STEP = 570;
 /** Step of `snip` in which its scissors leave the lobe whose tip they took. */
 const SNIPPED_STEP = 375;
 const LONGEST_WAIT_S = 180;
@@ -215,6 +218,16 @@ async function takeSnip() {
     await hideReadings(page);
     await page.waitForFunction((step) => window.tensormass.state().step >= step, SNIPPED_STEP, { polling: POLLING_MS });
     await save(page, "snip");
+  });
+}
+
+/** The piece that the scissors of `resect` took off, in the grasper. */
+async function takeResect() {
+  await withScene("resect", async (url) => {
+    const page = await open(url, WIDE);
+    await hideReadings(page);
+    await page.waitForFunction((step) => window.tensormass.state().step >= step, CARRIED_STEP, { polling: POLLING_MS });
+    await save(page, "resect");
   });
 }
 

@@ -17,7 +17,7 @@ from tensormass_tools.trade.knobs import Setting
 FILE = Path(__file__).resolve().parent / "fits.yaml"
 #: The scene whose errors were measured, and those with the same organ, which take its meshes.
 MEASURED = "demo"
-LIKE = ("retract", "grasp", "table", "burn", "two_organs", "demo-abdomen", "dissect", "cut", "snip")
+LIKE = ("retract", "grasp", "table", "burn", "two_organs", "demo-abdomen", "dissect", "cut", "snip", "resect")
 
 
 @dataclass(frozen=True)
