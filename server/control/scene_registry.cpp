@@ -96,7 +96,8 @@ Result<v1::AdjustSceneResponse> SceneRegistry::adjust(std::string_view name, con
 }
 
 bool SceneRegistry::compiles(const v1::SceneEdit& edit) {
-  return !edit.cuts().empty() || !edit.add_tools().empty() || !edit.remove_tools().empty();
+  return !edit.cuts().empty() || !edit.add_tools().empty() || !edit.remove_tools().empty() ||
+         !edit.add_attachments().empty() || !edit.remove_attachments().empty();
 }
 
 Result<v1::EditSceneResponse> SceneRegistry::edit(std::string_view name, const v1::SceneEdit& edit) {

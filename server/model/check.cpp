@@ -160,6 +160,9 @@ void check_links(const Model& m) {
   if (links.spring_count() > 0) assert_offsets(links.patch_springs, patches, links.spring_count());
   TM_ASSERT(links.spring_places.size() == links.spring_count() && are_below(links.spring_places, links.spring_count()),
             "a spring of the scene has a place");
+  if (!links.attachment_begin.empty()) {
+    assert_offsets(links.attachment_begin, links.attachment_begin.size() - 1, links.spring_count());
+  }
   TM_ASSERT(links.candidates.size() == 2 * std::size_t{links.candidate_count()}, "a candidate has a vertex and a side");
   for (std::size_t i = 0; i < links.candidates.size(); i += 2) {
     TM_ASSERT(links.candidates[i] < m.contact.surface_rows.size() && links.candidates[i + 1] < sides,

@@ -224,7 +224,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   if (model.frame_rate_hz > 0) {
     TM_ASSIGN_OR_RETURN(visible, make_visible_surface(scene, bodies, boundaries, model.layout));
     store(std::move(visible), model);
-    store(make_visible_springs(links.attachments, bodies.merged.nodes, model.layout), model);
+    store(make_visible_springs(links.attachments, model.layout), model);
     TM_RETURN_IF_ERROR(append_cut_vertices(scene, bodies, model.layout, model.visible));
   }
 

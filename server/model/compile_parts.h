@@ -162,9 +162,7 @@ struct VisibleSprings {
   std::vector<std::uint32_t> rows;  ///< [attachment point, 4], as in VisibleSurface
   std::vector<double> weights;      ///< [attachment point, 4]
 };
-/// nodes: of the merged mesh
-VisibleSprings make_visible_springs(std::span<const ReadAttachment> attachments, std::span<const Eigen::Vector3d> nodes,
-                                    const matrix::Layout& layout);
+VisibleSprings make_visible_springs(std::span<const ReadAttachment> attachments, const matrix::Layout& layout);
 
 /// Finds bodies that are too large, lock, or have a law that gets softer where a tool presses.
 std::vector<Finding> find_mistakes_of_bodies(std::span<const ReadBody> bodies, bool has_moving_tool);

@@ -239,16 +239,18 @@ class LinkMaker {
 
   void store_springs() {
     std::vector<Spring> springs;
+    if (in_.links.attachments.empty()) return;
+    out_.attachment_begin.push_back(0);
     for (const ReadAttachment& attachment : in_.links.attachments) {
-      for (const auto& [node, other] : attachment.springs) {
-        const double length_m = (in_.bodies.merged.nodes[node] - in_.bodies.merged.nodes[other]).norm();
+      for (std::size_t i = 0; i < attachment.springs.size(); ++i) {
+        const auto& [node, other] = attachment.springs[i];
         springs.push_back({layout_.row_of_node[node],
                            layout_.row_of_node[other],
                            static_cast<std::uint32_t>(springs.size()),
-                           {attachment.stiffness_n_per_m, length_m, attachment.breaking_force_n}});
+                           {attachment.stiffness_n_per_m, attachment.rest_lengths_m[i], attachment.breaking_force_n}});
       }
+      out_.attachment_begin.push_back(static_cast<std::uint32_t>(springs.size()));
     }
-    if (springs.empty()) return;
     out_.patch_springs = group_by_patch(springs);
     out_.spring_places.resize(springs.size());
     for (const Spring& spring : springs) {

@@ -207,6 +207,8 @@ struct Links {
   std::vector<double> spring_numbers;           ///< [spring_count, 3]
   /// [spring_count] place of each spring in the other arrays, in the order of the scene's attachments.
   std::vector<std::uint32_t> spring_places;
+  /// [attachment + 1] its first spring, in that order; empty: the scene has no attachments.
+  std::vector<std::uint32_t> attachment_begin;
   // Sharp edges (view::EdgesView); empty if no two bodies that touch both have some.
   std::vector<std::uint32_t> edge_rows;              ///< [edge, 4]
   std::vector<double> edge_numbers;                  ///< [edge, kEdgeNumbers]

@@ -109,6 +109,25 @@ class LinkReader {
     return std::move(nodes);
   }
 
+  /// Reads the lengths at rest, unless the scene leaves them to the mesh. out: [spring] those of the mesh
+  static Result<void> read_rest_lengths(const v1::Attachment& attachment, const std::string& where,
+                                        std::vector<double>& out) {
+    const auto given = static_cast<std::size_t>(attachment.rest_lengths_m_size());
+    if (given == 0) return {};
+    if (given != 1 && given != out.size()) {
+      return invalid(
+          fmt::format("{}.rest_lengths_m: {} lengths for {} springs; give one for each, one for all, or none", where,
+                      given, out.size()));
+    }
+    for (std::size_t i = 0; i < out.size(); ++i) {
+      const int place = given == 1 ? 0 : static_cast<int>(i);
+      TM_ASSIGN_OR_RETURN(length, read_number(attachment.rest_lengths_m(place), 0, limits::kMaxLength,
+                                              fmt::format("{}.rest_lengths_m[{}]", where, place)));
+      out[i] = length;
+    }
+    return {};
+  }
+
   Result<void> read_attachment(const v1::Attachment& attachment, const std::string& at) {
     TM_RETURN_IF_ERROR(check_name(attachment.name(), at + ".name"));
     if (!names_.insert(attachment.name()).second) {
@@ -128,7 +147,7 @@ class LinkReader {
     const auto count = static_cast<double>(nodes.size());
     TM_ASSIGN_OR_RETURN(stiffness,
                         read_number(attachment.stiffness_n_per_m(), 1e-9, 1e12, where + ".stiffness_n_per_m"));
-    ReadAttachment out{attachment.name(), {}, stiffness / count, std::numeric_limits<double>::infinity()};
+    ReadAttachment out{attachment.name(), {}, {}, stiffness / count, std::numeric_limits<double>::infinity()};
     if (attachment.has_breaking_force_n()) {
       TM_ASSIGN_OR_RETURN(
           force, read_number(attachment.breaking_force_n(), 1e-9, limits::kMaxForceN, where + ".breaking_force_n"));
@@ -145,7 +164,9 @@ class LinkReader {
                                    node - bodies_[body].node_begin, attachment.body()));
       }
       out.springs.push_back({node, nearest});
+      out.rest_lengths_m.push_back((x[node] - x[nearest]).norm());
     }
+    TM_RETURN_IF_ERROR(read_rest_lengths(attachment, where, out.rest_lengths_m));
     out_.attachments.push_back(std::move(out));
     return {};
   }

@@ -91,6 +91,7 @@ struct ReadTools {
 struct ReadAttachment {
   std::string name;
   std::vector<std::array<std::uint32_t, 2>> springs;  ///< nodes of the scene
+  std::vector<double> rest_lengths_m;                 ///< [spring]
   double stiffness_n_per_m, breaking_force_n;         ///< one spring's
 };
 

@@ -194,8 +194,7 @@ Result<void> append_cut_vertices(const v1::Scene& scene, const ReadBodies& bodie
   return {};
 }
 
-VisibleSprings make_visible_springs(std::span<const ReadAttachment> attachments, std::span<const Eigen::Vector3d> nodes,
-                                    const matrix::Layout& layout) {
+VisibleSprings make_visible_springs(std::span<const ReadAttachment> attachments, const matrix::Layout& layout) {
   VisibleSprings all;
   std::map<std::uint32_t, std::uint32_t> points;  // by node of the scene
   const auto point_of = [&](std::uint32_t node) {
@@ -211,8 +210,8 @@ VisibleSprings make_visible_springs(std::span<const ReadAttachment> attachments,
     for (const auto& [node, other] : attachment.springs) {
       const std::uint32_t first = point_of(node), second = point_of(other);
       out.springs.push_back({first, second});
-      out.rest_lengths_m.push_back(static_cast<float>((nodes[node] - nodes[other]).norm()));
     }
+    out.rest_lengths_m.assign(attachment.rest_lengths_m.begin(), attachment.rest_lengths_m.end());
     all.attachments.push_back(std::move(out));
   }
   return all;

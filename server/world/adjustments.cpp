@@ -44,6 +44,7 @@ void scale(std::string& packed, double factor) {
 v1::SceneAdjustments adjustments_of(const v1::Scene& loaded) {
   v1::SceneAdjustments out;
   *out.mutable_gravity_m_per_s2() = loaded.gravity_m_per_s2();
+  if (loaded.has_editing()) out.mutable_attachments();
   for (const v1::Body& body : loaded.bodies()) {
     v1::BodyAdjustment& adjustment = *out.add_bodies();
     adjustment.set_body(body.name());
@@ -58,6 +59,7 @@ v1::SceneAdjustments adjustments_of(const v1::Scene& loaded) {
 Result<v1::SceneAdjustments> with_changes(v1::SceneAdjustments present, const v1::SceneAdjustments& changes) {
   if (changes.has_gravity_m_per_s2()) *present.mutable_gravity_m_per_s2() = changes.gravity_m_per_s2();
   if (changes.has_tools()) *present.mutable_tools() = changes.tools();
+  if (changes.has_attachments()) *present.mutable_attachments() = changes.attachments();
   std::set<std::string_view> named;
   for (const v1::BodyAdjustment& change : changes.bodies()) {
     const auto found =
@@ -85,6 +87,8 @@ Result<v1::SceneAdjustments> with_changes(v1::SceneAdjustments present, const v1
 v1::SceneAdjustments with_edits_of(const v1::SceneAdjustments& present, v1::SceneAdjustments wanted) {
   wanted.clear_tools();
   if (present.has_tools()) *wanted.mutable_tools() = present.tools();
+  wanted.clear_attachments();
+  if (present.has_attachments()) *wanted.mutable_attachments() = present.attachments();
   for (int i = 0; i < wanted.bodies_size(); ++i) {
     wanted.mutable_bodies(i)->clear_cuts();
     if (present.bodies(i).has_cuts()) *wanted.mutable_bodies(i)->mutable_cuts() = present.bodies(i).cuts();
@@ -103,13 +107,15 @@ v1::SceneAdjustments next_part(const v1::SceneAdjustments& present, const v1::Sc
   return out;
 }
 
-bool same_tools(const v1::SceneAdjustments& one, const v1::SceneAdjustments& other) {
-  return one.has_tools() == other.has_tools() && one.tools().SerializeAsString() == other.tools().SerializeAsString();
+bool same_parts(const v1::SceneAdjustments& one, const v1::SceneAdjustments& other) {
+  return one.has_tools() == other.has_tools() && one.tools().SerializeAsString() == other.tools().SerializeAsString() &&
+         one.attachments().SerializeAsString() == other.attachments().SerializeAsString();
 }
 
 v1::Scene adjusted(const v1::Scene& loaded, const v1::SceneAdjustments& adjustments) {
   v1::Scene out = loaded;
   if (adjustments.has_tools()) *out.mutable_tools() = adjustments.tools().tools();
+  out.mutable_attachments()->MergeFrom(adjustments.attachments().attachments());
   const v1::Vector3& gravity = adjustments.gravity_m_per_s2();
   if (out.has_gravity_m_per_s2() || gravity.x() != 0 || gravity.y() != 0 || gravity.z() != 0) {
     *out.mutable_gravity_m_per_s2() = gravity;

@@ -16,7 +16,7 @@ bool adjusts(const DoneEdit& done) { return std::holds_alternative<Adjust>(*done
 /// Whether the present state becomes another one, by an edit that counts.
 bool changes(const DoneEdit& done) {
   const Adjust* adjust = std::get_if<Adjust>(done.edit.get());
-  return std::holds_alternative<ChangeScene>(*done.edit) || (adjust != nullptr && adjust->changes_tools);
+  return std::holds_alternative<ChangeScene>(*done.edit) || (adjust != nullptr && adjust->changes_parts);
 }
 /// Whether the state becomes another one, whatever it was.
 bool replaces_state(const DoneEdit& done) { return !adjusts(done) && !std::holds_alternative<ChangeScene>(*done.edit); }

@@ -24,10 +24,10 @@
 /// come here.
 namespace tensormass::world {
 
-/// AdjustScene, a cut, or other tools. values: all of them, after it.
+/// AdjustScene, a cut, or other tools or attachments. values: all of them, after it.
 struct Adjust {
   v1::SceneAdjustments values;
-  bool changes_tools = false;  ///< known once it is done
+  bool changes_parts = false;  ///< tools or attachments; known once it is done
 };
 /// RestoreScene. snapshot: as in SnapshotSceneResponse.
 struct Restore {
@@ -51,18 +51,19 @@ struct DoneEdit {
   std::uint64_t step = 0;  ///< steps of the scene after it
 };
 
-/// EditScene calls, and changes of tools, between two steps of a scene that is recorded; a call for more is refused.
+/// EditScene calls, and changes of tools or attachments, between two steps of a scene that is recorded; a call for more
+/// is refused.
 inline constexpr std::size_t kMaxChangesOfStep = 64;
 /// Number of edits that `add_edit` keeps at most.
 inline constexpr std::size_t kMaxEditsOfStep = 3 + kMaxChangesOfStep;
 
-/// Returns how many EditScene calls and changes of tools are among edits.
+/// Returns how many EditScene calls and changes of tools or attachments are among edits.
 std::size_t count_changes(const std::vector<DoneEdit>& edits);
 
 /// Adds an edit to those since the last step, and drops what nothing depends on any more: a state that is replaced, and
-/// values that are. Values with other tools stay: a tool that was removed and added again is not the one before. So any
-/// number of edits between two steps becomes at most kMaxEditsOfStep: values, a state, then values and at most
-/// kMaxChangesOfStep calls of EditScene, for which the caller cares.
+/// values that are. Values with other tools or attachments stay: one that was removed and added again is not the one
+/// before. So any number of edits between two steps becomes at most kMaxEditsOfStep: values, a state, then values and
+/// at most kMaxChangesOfStep calls of EditScene, for which the caller cares.
 void add_edit(std::vector<DoneEdit>& edits, DoneEdit next);
 
 /// Bytes of an edit in a recording, about.

@@ -9,7 +9,7 @@
 
 #include "backend/backend.h"
 #include "model/model.h"
-#include "world/tool_name.h"
+#include "world/fixed_name.h"
 
 /// The guard: bounds that a step must stay within to be published, and the retries before tools back off or the scene
 /// is stopped.
@@ -162,7 +162,7 @@ struct GuardEvent {
     kHeld,       ///< the tissue was held
     kTakenOut,   ///< tools were taken out of tissue
   } outcome = Outcome::kStopped;
-  ToolName tool = {};  ///< that tissue encloses
+  FixedName tool = {};  ///< that tissue encloses
 };
 /// Says what happened in a scene of this model. If nothing helped, also says where the scene stopped and what a user
 /// can do.

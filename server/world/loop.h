@@ -22,6 +22,7 @@
 #include "core/assert.h"
 #include "core/result.h"
 #include "tensormass/v1/control.pb.h"
+#include "world/attachment_changes.h"
 #include "world/generation.h"
 #include "world/hand_phase.h"
 #include "world/iteration_budget.h"
@@ -178,7 +179,9 @@ class Loop {
     bool takes_state = true;                  ///< false: it stays at its start
     /// As of places_before (tool_changes.h); no value: the same tools.
     std::optional<std::vector<std::size_t>> places = {};
-    bool same_values = false;  ///< only tools differ, so that the energy balance goes on
+    /// As of change_of (attachment_changes.h); no value: the same attachments.
+    std::optional<AttachmentChange> attachments = {};
+    bool same_values = false;  ///< only tools and attachments differ, so that the energy balance goes on
   };
   /// Puts another world of the scene in place of the present one, whose state it takes. On success `swap.world` is the
   /// world before, which may take long to end. On failure the scene is unchanged. Clears a fault of the guard.
@@ -227,9 +230,10 @@ class Loop {
   void measure_pose_ages(Clock::time_point now);
   void record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected);
   void go_on_from_new_state();
-  void go_on_with_new_values(GenerationPointer next, EditPointer edit, bool tools_change = false);
+  void go_on_with_new_values(GenerationPointer next, EditPointer edit, bool parts_change = false);
   void take_tools(const PoseInboxes& inboxes, std::span<const std::size_t> places);
   void tell_of_tools(const model::Model& before, std::span<const std::size_t> places);
+  void tell_of_attachments(const AttachmentChange& change);
   void publish_new_values();
   void take_edits();
   void tell_what_broke();

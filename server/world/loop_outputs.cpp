@@ -5,18 +5,29 @@
 #include <utility>
 
 #include "core/assert.h"
+#include "core/attachment_limits.h"
 
 namespace tensormass::world {
+
+namespace {
+
+/// Returns the largest numbers that a frame of the scene may have. With editing, attachments may come.
+FrameSlot largest_frame(World& world, const ToolReadings& tools) {
+  const std::size_t springs = world.model().editing ? limits::kMaxAddedSprings : 0;
+  return {{},
+          std::vector<float>(world.visible_positions().size() + 6 * springs),  // two ends of a spring
+          tools,
+          std::vector<std::uint8_t>(world.broken_springs().size() + springs / 8)};
+}
+
+}  // namespace
 
 LoopOutputs::LoopOutputs(World& world, std::shared_ptr<SceneCounts> counts)
     : world_(&world),
       shown_{world.shared_model(), 0},
       first_topology_version_(world.topology_version()),
       tools_(world.readings()),
-      frames_(FrameSlot{{},
-                        std::vector<float>(world.visible_positions().size()),
-                        tools_,
-                        std::vector<std::uint8_t>(world.broken_springs().size())}),
+      frames_(largest_frame(world, tools_)),
       feedback_(FeedbackSlot{{}, tools_}),
       status_feedback_(FeedbackSlot{{}, tools_}),
       counts_(std::move(counts)) {
@@ -24,17 +35,17 @@ LoopOutputs::LoopOutputs(World& world, std::shared_ptr<SceneCounts> counts)
   for (std::size_t i = 0; i < tools_.size(); ++i) answered_[i] = tools_[i].newest.arrived;
 }
 
-void LoopOutputs::go_on_with(World& world, bool tools_change) noexcept {
-  TM_ASSERT((tools_change || world.readings().size() == tools_.size()) &&
-                world.model().visible.count() == world_->model().visible.count() &&
-                world.broken_springs().size() == world_->broken_springs().size(),
+void LoopOutputs::go_on_with(World& world, bool parts_change) noexcept {
+  TM_ASSERT(parts_change || (world.readings().size() == tools_.size() &&
+                             world.model().visible.count() == world_->model().visible.count() &&
+                             world.broken_springs().size() == world_->broken_springs().size()),
             "slots have the sizes of what they take");
   world_ = &world;
-  if (tools_change) {
+  if (parts_change) {
     tools_ = world.readings();
-    ++stamp_.tool_changes;
+    ++stamp_.part_changes;
   }
-  Shown next{world.shared_model(), stamp_.tool_changes};
+  Shown next{world.shared_model(), stamp_.part_changes};
   const std::lock_guard lock(shown_mutex_);
   std::swap(shown_, next);
 }
@@ -52,7 +63,7 @@ void LoopOutputs::take_step(Clock::time_point began) {
             .began = began,
             .ended = Clock::now(),
             .topology_version = world_->topology_version(),
-            .tool_changes = stamp_.tool_changes};
+            .part_changes = stamp_.part_changes};
   stamp_changes();
   tools_ = readings;
 }
@@ -82,7 +93,10 @@ void LoopOutputs::leave_changes() {
 }
 
 void LoopOutputs::add_event(SceneEvent event) {
-  if (event.tool != SceneEvent::kNone) event.tool_name = ToolName(world_->model().tools[event.tool].name);
+  if (event.tool != SceneEvent::kNone) event.tool_name = FixedName(world_->model().tools[event.tool].name);
+  if (event.attachment != SceneEvent::kNone) {
+    event.attachment_name = FixedName(world_->model().attachments[event.attachment].name);
+  }
   log_.add(event, unix_time_ns());
   leave_events();
 }
@@ -145,12 +159,12 @@ void LoopOutputs::leave_frame() {
   FrameSlot& slot = frames_.writing();
   const std::span<const float> positions = world_->visible_positions();
   const std::span<const std::uint8_t> broken = world_->broken_springs();
-  TM_ASSERT(slot.positions.size() == positions.size() && slot.broken_springs.size() == broken.size(),
-            "a slot has the size of what it takes, so copying allocates nothing");
+  TM_ASSERT(slot.positions.capacity() >= positions.size() && slot.broken_springs.capacity() >= broken.size(),
+            "a slot has room for what it takes, so copying allocates nothing");
   slot.stamp = stamp_;
-  std::copy(positions.begin(), positions.end(), slot.positions.begin());
+  slot.positions.assign(positions.begin(), positions.end());
   slot.tools = tools_;
-  std::copy(broken.begin(), broken.end(), slot.broken_springs.begin());
+  slot.broken_springs.assign(broken.begin(), broken.end());
   if (frames_.publish()) frames_replaced_.fetch_add(1, std::memory_order_relaxed);
 }
 
@@ -174,7 +188,7 @@ bool LoopOutputs::take_frame(v1::Frame& frame) {
   const FrameSlot* slot = frames_.take();
   if (slot == nullptr) return false;
   const Shown now = shown();
-  if (slot->stamp.tool_changes != now.tool_changes) return false;
+  if (slot->stamp.part_changes != now.part_changes) return false;
   frame.set_sequence(frames_published_.fetch_add(1, std::memory_order_relaxed) + 1);
   fill_frame(*now.model, slot->stamp, slot->positions, slot->tools.all(), slot->broken_springs, frame);
   return true;
@@ -184,8 +198,8 @@ bool LoopOutputs::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
   const FeedbackSlot* slot = feedback_.take();
   if (slot == nullptr) return false;
   const Shown now = shown();
-  if (slot->stamp.tool_changes != now.tool_changes) return false;
-  const bool counts = std::exchange(answered_changes_, now.tool_changes) == now.tool_changes;
+  if (slot->stamp.part_changes != now.part_changes) return false;
+  const bool counts = std::exchange(answered_changes_, now.part_changes) == now.part_changes;
   feedback.resize(slot->tools.size());
   for (std::size_t i = 0; i < slot->tools.size(); ++i) {
     fill_feedback(*now.model, slot->stamp, i, slot->tools[i], feedback[i]);
@@ -233,7 +247,7 @@ void LoopOutputs::add_to(v1::SceneStatus& status) const {
   if (newest_status_feedback_ == nullptr) return;
   const FeedbackSlot& slot = *newest_status_feedback_;
   const Shown now = shown();
-  if (slot.stamp.tool_changes != now.tool_changes) return;  // those of the present tools are on their way
+  if (slot.stamp.part_changes != now.part_changes) return;  // those of the present tools are on their way
   for (std::size_t i = 0; i < slot.tools.size(); ++i) {
     fill_feedback(*now.model, slot.stamp, i, slot.tools[i], *status.add_tools());
   }

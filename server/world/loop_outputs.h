@@ -41,9 +41,9 @@ class LoopOutputs {
 
   // -- the loop's thread; these read the world ------------------------------------------------------------------------
 
-  /// Goes on with another world of the same scene: same visible nodes. tools_change: it has others, or in another
-  /// order.
-  void go_on_with(World& world, bool tools_change = false) noexcept;
+  /// Goes on with another world of the same scene: same visible vertices. parts_change: its tools or attachments are
+  /// others, or in another order.
+  void go_on_with(World& world, bool parts_change = false) noexcept;
   /// Says to readers that the changes so far are those of the world's topology, which is another one with that surface.
   void repeat_changes();
   /// Copies step, time and tool readings from the world.
@@ -78,8 +78,8 @@ class LoopOutputs {
   /// Takes the newest frame; false if no step has made one since the last call. The frame has the topology version of
   /// its step, also if the world has a newer topology by now.
   bool take_frame(v1::Frame& frame);
-  /// Takes the newest feedback of all tools; false if the last call took it, or if the scene has other tools by now:
-  /// newer feedback is on its way then. The same holds for frames.
+  /// Takes the newest feedback of all tools; false if the last call took it, or if the scene has other tools or
+  /// attachments by now: newer feedback is on its way then. The same holds for frames.
   bool take_feedback(std::vector<v1::ToolFeedback>& feedback);
   /// Takes the newest changes of the surface; false if they are those of the last call.
   bool take_changes(v1::SurfaceChanges& changes);
@@ -104,7 +104,7 @@ class LoopOutputs {
   /// What other threads read of the world that made the newest results.
   struct Shown {
     std::shared_ptr<const model::Model> model;
-    std::uint32_t tool_changes = 0;  // results with another number have other tools
+    std::uint32_t part_changes = 0;  // results with another number have other tools or attachments
   };
   Shown shown() const {
     const std::lock_guard lock(shown_mutex_);

@@ -112,9 +112,9 @@ Result<void> Loop::do_swap(Swap& swap) {
   const double area_m2 = area_of(swap.generation->cuts), cut_m2 = area_m2 - area_of(before->cuts);
   const bool cuts = swap.generation->cuts != before->cuts;
   const std::vector<FreedPiece> freed = freed_pieces(before->cuts, swap.generation->cuts);
-  const bool tools_change = swap.places.has_value();
+  const bool tools_change = swap.places.has_value(), parts_change = tools_change || swap.attachments.has_value();
   std::shared_ptr<const RecordedTools> recorded;
-  if (tools_change && recording_ && !recording_->takes_change()) return changes_error();
+  if (parts_change && recording_ && !recording_->takes_change()) return changes_error();
   try {
     try {
       if (tools_change && recording_) recorded = std::make_shared<const RecordedTools>(next->model());
@@ -127,6 +127,9 @@ Result<void> Loop::do_swap(Swap& swap) {
         if (cuts) {
           TM_ASSIGN_OR_RETURN(tissue, cut_state(*world_->shared_model(), saved.tissue, next->model()));
           saved.tissue = std::move(tissue);
+        }
+        if (swap.attachments) {
+          saved.tissue = with_attachments(*world_->shared_model(), next->model(), saved, swap.attachments->places);
         }
         if (tools_change) saved = with_tools(*world_->shared_model(), next->model(), saved, *swap.places);
         if (swap.same_values) {
@@ -153,8 +156,9 @@ Result<void> Loop::do_swap(Swap& swap) {
   }
   if (recorded != nullptr) recording_->go_on_with(std::move(recorded));
   if (tools_change) take_tools(swap.generation->inboxes, *swap.places);
-  go_on_with_new_values(std::move(swap.generation), std::move(swap.edit), tools_change);
+  go_on_with_new_values(std::move(swap.generation), std::move(swap.edit), parts_change);
   if (tools_change) tell_of_tools(*before->model, *swap.places);
+  if (swap.attachments) tell_of_attachments(*swap.attachments);
   status_.take_cut_area(area_m2);
   if (swap.surface != nullptr) outputs_.set_changes(surface_.number(std::move(swap.surface)));
   if (cut_m2 > 0) {
@@ -195,7 +199,7 @@ void Loop::tell_of_tools(const model::Model& before, std::span<const std::size_t
   for (std::size_t i = 0; i < before.tools.size(); ++i) {
     if (std::find(places.begin(), places.end(), i) != places.end()) continue;
     outputs_.add_event(
-        {.kind = EventKind::kToolRemoved, .step = world_->step_count(), .tool_name = ToolName(before.tools[i].name)});
+        {.kind = EventKind::kToolRemoved, .step = world_->step_count(), .tool_name = FixedName(before.tools[i].name)});
   }
   for (std::size_t i = 0; i < places.size(); ++i) {
     if (places[i] != kNewTool) continue;
@@ -206,17 +210,27 @@ void Loop::tell_of_tools(const model::Model& before, std::span<const std::size_t
   }
 }
 
-/// Tells everybody that the world has other values, or tools.
-void Loop::go_on_with_new_values(GenerationPointer next, EditPointer edit, bool tools_change) {
+/// Tells of attachments that have gone and come.
+void Loop::tell_of_attachments(const AttachmentChange& change) {
+  for (const AttachmentChange::Told& one : change.told) {
+    outputs_.add_event({.kind = one.added ? EventKind::kAttachmentAdded : EventKind::kAttachmentRemoved,
+                        .step = world_->step_count(),
+                        .attachment_name = one.name,
+                        .value = static_cast<double>(one.springs)});
+  }
+}
+
+/// Tells everybody that the world has other values, tools or attachments.
+void Loop::go_on_with_new_values(GenerationPointer next, EditPointer edit, bool parts_change) {
   const bool was_faulted = status_.state() == v1::SceneStatus::STATE_FAULTED;
-  outputs_.go_on_with(*world_, tools_change);
+  outputs_.go_on_with(*world_, parts_change);
   status_.go_on_with(world_->shared_model());
   (void)generation_.replace(std::move(next));
   next_diagnostics_ = 0;
   if (was_faulted) clock_.restart(Clock::now());
   if (recording_ && edit) recording_->take_edit({std::move(edit), world_->step_count()});
   outputs_.take_step(Clock::now());
-  if (tools_change) outputs_.repeat_changes();  // with the version of the new topology
+  if (parts_change) outputs_.repeat_changes();  // with the version of the new topology
   take_edits();
 }
 

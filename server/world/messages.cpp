@@ -76,6 +76,10 @@ std::string text_of(const model::Model& model, const SceneEvent& event, const v1
       return fmt::format("tool '{}' was added", named.tool());
     case EventKind::kToolRemoved:
       return fmt::format("tool '{}' was removed", named.tool());
+    case EventKind::kAttachmentAdded:
+      return fmt::format("attachment '{}' was added: {}", named.attachment(), springs_of(event, {}));
+    case EventKind::kAttachmentRemoved:
+      return fmt::format("attachment '{}' was removed: {}", named.attachment(), springs_of(event, {}));
     case EventKind::kBroken:
       return fmt::format("{} broke", springs_of(event, named.attachment()));
   }
@@ -117,17 +121,23 @@ v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
     out.set_texture_image(body.texture.image);
     out.set_texture_coordinates(body.texture.coordinates);
   }
-  for (const model::ToolModel& tool : model.tools) fill_shape(tool, *topology.add_tools());
-  topology.set_attachment_point_count(model.visible.attachment_point_count());
-  for (const model::VisibleAttachment& attachment : model.attachments) {
-    v1::AttachmentSprings& out = *topology.add_attachments();
-    out.set_name(attachment.name);
-    out.set_springs(packed(std::span<const std::array<std::uint32_t, 2>>(attachment.springs)));
-    out.set_rest_lengths_m(packed(std::span<const float>(attachment.rest_lengths_m)));
-    out.set_stiffness_n_per_m(attachment.stiffness_n_per_m);
-    if (std::isfinite(attachment.breaking_force_n)) out.set_breaking_force_n(attachment.breaking_force_n);
-  }
+  fill_parts(model, topology);
   return topology;
+}
+
+void fill_parts(const model::Model& model, v1::Topology& out) {
+  out.clear_tools();
+  for (const model::ToolModel& tool : model.tools) fill_shape(tool, *out.add_tools());
+  out.set_attachment_point_count(model.visible.attachment_point_count());
+  out.clear_attachments();
+  for (const model::VisibleAttachment& attachment : model.attachments) {
+    v1::AttachmentSprings& springs = *out.add_attachments();
+    springs.set_name(attachment.name);
+    springs.set_springs(packed(std::span<const std::array<std::uint32_t, 2>>(attachment.springs)));
+    springs.set_rest_lengths_m(packed(std::span<const float>(attachment.rest_lengths_m)));
+    springs.set_stiffness_n_per_m(attachment.stiffness_n_per_m);
+    if (std::isfinite(attachment.breaking_force_n)) springs.set_breaking_force_n(attachment.breaking_force_n);
+  }
 }
 
 void fill_shape(const model::ToolModel& tool, v1::ToolShape& out) {
@@ -237,7 +247,7 @@ void fill_events(const model::Model& model, const EventsSlot& slot, v1::SceneEve
     to.set_server_time_ns(event.server_time_ns);
     to.set_kind(static_cast<v1::SceneEvent::Kind>(event.kind));
     if (event.body != SceneEvent::kNone) to.set_body(model.bodies[event.body].name);
-    if (event.attachment != SceneEvent::kNone) to.set_attachment(model.attachments[event.attachment].name);
+    to.set_attachment(std::string(event.attachment_name.view()));
     to.set_tool(std::string(event.tool_name.view()));
     to.set_value(event.value);
     to.set_work_j(event.work_j);

@@ -25,7 +25,7 @@ struct StepStamp {
   Clock::time_point began{}, ended{};
   std::uint64_t topology_version = 0;
   std::uint32_t revision = 0, appended_vertex_count = 0;
-  std::uint32_t tool_changes = 0;
+  std::uint32_t part_changes = 0;
 };
 
 /// Visible positions, tools and broken springs of a step, from the loop to the publisher.
@@ -60,6 +60,8 @@ std::uint64_t unix_time_ns();
 std::uint64_t new_topology_version();
 
 v1::Topology make_topology(const model::Model& model, std::uint64_t version);
+/// Puts the tools and attachments of a model in place of those of a topology.
+void fill_parts(const model::Model& model, v1::Topology& out);
 void fill_shape(const model::ToolModel& tool, v1::ToolShape& out);
 
 /// positions: [visible_count + stamp.appended_vertex_count, 3] m or more: the visible points of the model, then the

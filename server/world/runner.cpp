@@ -71,6 +71,9 @@ Result<v1::SceneStatus> Runner::step(std::uint32_t count) {
   return impl_->call([count](Loop& loop) { return loop.do_step(count); });
 }
 Result<v1::SceneStatus> Runner::edit(const v1::SceneEdit& change, std::vector<v1::Finding>* findings) {
+  if (!change.add_attachments().empty() || !change.remove_attachments().empty()) {
+    return impl_->change_attachments(change);
+  }
   if (!change.add_tools().empty() || !change.remove_tools().empty()) return impl_->change_tools(change, findings);
   if (!change.cuts().empty()) return impl_->cut(change);
   return impl_->apply(std::make_shared<const Edit>(ChangeScene{change}));
@@ -150,7 +153,7 @@ Result<v1::ReplaySceneResponse> Runner::replay(const v1::ReplaySceneRequest& req
         return fail(ErrorCode::kUnavailable,
                     fmt::format("scene '{}' is being unloaded; step {} was not replayed", name(), left.front().index));
       }
-      const bool heals = std::holds_alternative<Reset>(*edit) && !impl_->loop->generation()->cuts.empty();
+      const bool heals = std::holds_alternative<Reset>(*edit) && impl_->loop->generation()->was_altered();
       const auto done = impl_->apply(edit);
       if (done && (heals || std::holds_alternative<Adjust>(*edit))) ++number;
       if (!done) {

@@ -23,8 +23,9 @@ namespace {
 /// Simulated time between two cuts of what blades sweep in a scene that steps by hand.
 constexpr double kBetweenCutsS = 0.1;
 
-/// Returns a generation with inboxes for new tools, and with another topology. places: as of places_before
-GenerationPointer with_tools_of(const Generation& next, std::span<const std::size_t> places) {
+/// Returns a generation with inboxes for new tools, and with the topology of other tools and attachments. places: as of
+/// places_before
+GenerationPointer with_parts_of(const Generation& next, std::span<const std::size_t> places) {
   Generation out = next;
   out.inboxes = new_inboxes(places.size());
   for (std::size_t i = 0; i < places.size(); ++i) {
@@ -32,8 +33,7 @@ GenerationPointer with_tools_of(const Generation& next, std::span<const std::siz
   }
   v1::Topology topology = *next.topology;
   topology.set_version(new_topology_version());
-  topology.clear_tools();
-  for (const model::ToolModel& tool : next.model->tools) fill_shape(tool, *topology.add_tools());
+  fill_parts(*next.model, topology);
   out.topology = std::make_shared<const v1::Topology>(std::move(topology));
   return std::make_shared<const Generation>(std::move(out));
 }
@@ -79,7 +79,7 @@ Result<void> Runner::Impl::change_values(v1::SceneAdjustments wanted) {
     forget_parts();
     return {};
   }
-  // Cuts and tools have no parts.
+  // Cuts, tools and attachments have no parts.
   v1::SceneAdjustments edited = with_edits_of(wanted, present);
   if (edited.SerializeAsString() != present.SerializeAsString()) TM_RETURN_IF_ERROR(take_values(std::move(edited)));
   TM_RETURN_IF_ERROR(model::with_values(*loop->generation()->model, adjusted(source->scene, wanted), spare));
@@ -130,7 +130,7 @@ Result<void> Runner::Impl::take_last_part() {
 Result<void> Runner::Impl::take_values(v1::SceneAdjustments wanted) {
   const GenerationPointer present = loop->generation();
   TM_ASSIGN_OR_RETURN(cuts, read_cuts(source->scene, wanted, present->cuts));
-  if (cuts == present->cuts && same_tools(wanted, present->adjustments)) {
+  if (cuts == present->cuts && same_parts(wanted, present->adjustments)) {
     const v1::Scene scene = adjusted(source->scene, wanted);
     // The hash reads all meshes, which takes as long as the values do.
     std::uint64_t scene_hash = 0;
@@ -194,6 +194,30 @@ Result<v1::SceneStatus> Runner::Impl::change_tools(const v1::SceneEdit& edit, st
   return loop->status().make();
 }
 
+/// Attachments that are added are values of the scene, as tools are.
+Result<v1::SceneStatus> Runner::Impl::change_attachments(const v1::SceneEdit& edit) {
+  if (!source) return fail(ErrorCode::kFailedPrecondition, "the scene was not loaded from a message");
+  const std::lock_guard lock(adjusting);
+  TM_RETURN_IF_ERROR(loop->status().require_not_faulted());
+  const GenerationPointer present = loop->generation();
+  v1::SceneAdjustments wanted = present->adjustments;
+  TM_ASSIGN_OR_RETURN(attachments, edited_attachments(source->scene, wanted.attachments(), edit));
+  *wanted.mutable_attachments() = std::move(attachments);
+  TM_RETURN_IF_ERROR(swap_world(std::move(wanted), present->cuts, nullptr, nullptr,
+                                static_cast<std::size_t>(edit.add_attachments_size())));
+  if (coming) *coming->wanted.mutable_attachments() = loop->generation()->adjustments.attachments();
+  return loop->status().make();
+}
+
+/// Refuses attachments beside those of the load in a scene that may not have them.
+Result<void> Runner::Impl::check_attachments(const v1::SceneAdjustments& wanted) const {
+  if (wanted.attachments().attachments().empty() || source->scene.has_editing()) return {};
+  return fail(
+      ErrorCode::kFailedPrecondition,
+      "changes.attachments: the scene has no room for attachments; load it with scene.editing, an empty message "
+      "is enough");
+}
+
 /// Goes on with the scene cut. Needs `adjusting`.
 Result<void> Runner::Impl::take_cuts(model::SceneCuts cuts) {
   v1::SceneAdjustments wanted = loop->generation()->adjustments;
@@ -249,14 +273,15 @@ Result<v1::SceneStatus> Runner::Impl::apply(const Restore& restore, const EditPo
   }
 }
 
-/// A reset heals cuts: the scene is the one that was loaded again.
+/// A reset heals cuts and takes added attachments out: the scene is the one that was loaded again.
 Result<v1::SceneStatus> Runner::Impl::apply(const Reset&, const EditPointer& edit) {
   if (source) {
     const std::lock_guard lock(adjusting);
     TM_RETURN_IF_ERROR(take_last_part());
-    if (const GenerationPointer present = loop->generation(); !present->cuts.empty()) {
+    if (const GenerationPointer present = loop->generation(); present->was_altered()) {
       v1::SceneAdjustments wanted = present->adjustments;
-      write_cuts({}, wanted);
+      if (!present->cuts.empty()) write_cuts({}, wanted);
+      if (wanted.has_attachments()) wanted.mutable_attachments()->clear_attachments();
       TM_RETURN_IF_ERROR(swap_world(std::move(wanted), {}, edit));
       return loop->status().make();
     }
@@ -270,29 +295,43 @@ Result<v1::SceneStatus> Runner::Impl::apply(const ChangeScene& change, const Edi
 
 /// Compiles the adjusted scene while the present world steps. Then swaps the two. Needs `adjusting`.
 /// cuts: those of `wanted`. reset: the edit that takes the scene to its start; nullptr: it goes on from its state.
-/// findings: takes those of new tools
+/// findings: takes those of new tools. new_attachments: how many of the last attachments an edit adds
 Result<void> Runner::Impl::swap_world(v1::SceneAdjustments wanted, model::SceneCuts cuts, const EditPointer& reset,
-                                      std::vector<v1::Finding>* findings) {
+                                      std::vector<v1::Finding>* findings, std::size_t new_attachments) {
+  TM_RETURN_IF_ERROR(check_attachments(wanted));
   const GenerationPointer present = loop->generation();
   const bool same_cuts = cuts == present->cuts;
   const bool same_values =
       same_cuts && wanted.SerializeAsString() != present->adjustments.SerializeAsString() &&
       with_edits_of(wanted, present->adjustments).SerializeAsString() == wanted.SerializeAsString();
   TM_ASSIGN_OR_RETURN(compiled, compile_scene(adjusted(source->scene, wanted), source->options, {}, cuts));
+  if (!wanted.attachments().attachments().empty()) {
+    TM_ASSIGN_OR_RETURN(now, loop->read([&] { return loop->do_save(); }));
+    TM_RETURN_IF_ERROR(state_rest_lengths(*present->model, now.state.world, *compiled.model,
+                                          *wanted.mutable_attachments(), new_attachments));
+    compiled.scene_hash = hash_of(adjusted(source->scene, wanted));
+  }
   TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
   TM_ASSERT(!same_cuts || hash_of_layout(world->model()) == hash_of_layout(*present->model),
             "values do not change the order of nodes");
   std::vector<std::size_t> places = places_before(*present->model, world->model());
   const bool same_tools = stay(places, present->model->tools.size());
-  const auto edit = std::make_shared<const Edit>(Adjust{wanted, !same_tools});
+  AttachmentChange attachments =
+      change_of(*present->model, present->adjustments.attachments(), world->model(), wanted.attachments(),
+                static_cast<std::size_t>(source->scene.attachments_size()));
+  const std::vector<std::uint32_t>& springs = present->model->links.attachment_begin;
+  const bool same_attachments = stay(attachments.places, springs.empty() ? 0 : springs.size() - 1);
+  const bool changes_parts = !same_tools || !same_attachments;
+  const auto edit = std::make_shared<const Edit>(Adjust{wanted, changes_parts});
   const bool has_frames = world->model().visible.count() > 0;
   std::shared_ptr<SurfaceChanges> surface = same_cuts || !has_frames ? nullptr : changes_of(world->model(), cuts);
   auto next = next_generation(*present, world->shared_model(), compiled.scene_hash, std::move(wanted), std::move(cuts));
-  if (!same_tools) next = with_tools_of(*next, places);
+  if (changes_parts) next = with_parts_of(*next, places);
   world->set_topology_version(next->topology->version());
   std::vector<v1::Finding> found = findings_of(compiled.report, world->model(), places);
   Loop::Swap swap{std::move(world), next, reset == nullptr ? edit : nullptr, std::move(surface), reset == nullptr};
   if (!same_tools) swap.places = std::move(places);
+  if (!same_attachments) swap.attachments = std::move(attachments);
   swap.same_values = same_values;
   const auto swapped = loop->call([&]() -> Result<void> {
     TM_RETURN_IF_ERROR(loop->do_swap(swap));

@@ -92,8 +92,10 @@ struct Runner::Impl {
   GenerationPointer next_generation(const Generation& present, std::shared_ptr<const model::Model> model,
                                     std::uint64_t scene_hash, v1::SceneAdjustments wanted, model::SceneCuts cuts) const;
   Result<void> swap_world(v1::SceneAdjustments wanted, model::SceneCuts cuts, const EditPointer& reset = nullptr,
-                          std::vector<v1::Finding>* findings = nullptr);
+                          std::vector<v1::Finding>* findings = nullptr, std::size_t new_attachments = 0);
+  Result<void> check_attachments(const v1::SceneAdjustments& wanted) const;
   Result<v1::SceneStatus> cut(const v1::SceneEdit& edit);
+  Result<v1::SceneStatus> change_attachments(const v1::SceneEdit& edit);
   Result<v1::SceneStatus> change_tools(const v1::SceneEdit& edit, std::vector<v1::Finding>* findings);
   void refuse(std::string_view what, const Error& error) const;
   void forget_parts() {

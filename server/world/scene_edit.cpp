@@ -92,7 +92,7 @@ Result<std::vector<T>> read_items(const std::string& bytes, std::size_t most, st
 Result<ModelChange> read_scene_edit(const model::Model& model, const v1::SceneEdit& edit,
                                     std::span<const std::uint8_t> broken) {
   if (edit.ablations().empty() && edit.severings().empty()) {
-    return invalid("edit: is empty; give ablations, severings, cuts or tools");
+    return invalid("edit: is empty; give ablations, severings, cuts, tools or attachments");
   }
   std::size_t elements = 0;
   for (const v1::Ablation& ablation : edit.ablations()) elements += static_cast<std::size_t>(ablation.elements_size());

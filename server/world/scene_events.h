@@ -9,8 +9,8 @@
 #include <span>
 
 #include "core/scalar.h"
+#include "world/fixed_name.h"
 #include "world/guard.h"
-#include "world/tool_name.h"
 
 /// What happened in a scene, for people and scores. An edit is in edits.h; what it did is an event.
 namespace tensormass::world {
@@ -31,6 +31,8 @@ enum class EventKind : std::uint8_t {
   kCutEnded,  ///< value: area [m²]; work_j
   kToolAdded,
   kToolRemoved,
+  kAttachmentAdded,    ///< value: number of springs
+  kAttachmentRemoved,  ///< value: number of springs
 };
 
 struct SceneEvent {
@@ -40,8 +42,9 @@ struct SceneEvent {
   std::uint64_t step = 0;            ///< steps of the scene when it happened
   std::uint32_t body = kNone;        ///< place in model::Model::bodies
   std::uint32_t tool = kNone;        ///< place in model::Model::tools at that time
-  ToolName tool_name = {};           ///< empty: that of `tool`, which the log fills in
-  std::uint32_t attachment = kNone;  ///< place in model::Model::attachments
+  FixedName tool_name = {};          ///< empty: that of `tool`, which the log fills in
+  std::uint32_t attachment = kNone;  ///< place in model::Model::attachments at that time
+  FixedName attachment_name = {};    ///< empty: that of `attachment`, which the log fills in
   double value = 0;                  ///< follows from the kind
   double work_j = 0;                 ///< spent on fracture, for kCutEnded
   std::optional<Vec3<double>> position_m = {};

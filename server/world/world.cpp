@@ -305,7 +305,7 @@ BoundCheck World::repeat_step(std::uint32_t parts) {
 void World::take_event(const BoundCheck& check) {
   if (!has_event_) event_ = {.step = step_count_ + 1, .first = check, .last = check};
   if (!has_event_ && check.breach == Breach::kEnclosed) {
-    event_.tool = ToolName(model_->tools[static_cast<std::size_t>(check.value)].name);
+    event_.tool = FixedName(model_->tools[static_cast<std::size_t>(check.value)].name);
   }
   has_event_ = true;
   event_.last = check;
@@ -552,6 +552,7 @@ void World::restore(const Copied& saved) {
   std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
   step_count_ = saved.step_count;
   last_ = {};
+  last_.broken_springs = broken_count_;
   has_event_ = false;
   contact_jumped_ = trial_jumped_ = false;  // saved as a history that starts anew; read_tools copies the second
   held_steps_ = saved.held_steps;

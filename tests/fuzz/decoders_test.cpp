@@ -327,11 +327,11 @@ class CutTarget final : public MessageTarget<v1::SceneEdit>, OfScene {
   }
 };
 
-/// Ablations, severings, tools and adjusted values, as the control plane takes them.
+/// Ablations, severings, tools, attachments and adjusted values, as the control plane takes them.
 class EditTarget final : public MessageTarget<v1::RecordedEdit>, OfScene {
  public:
   EditTarget() : OfScene(edited(false)) {
-    v1::RecordedEdit ablates, severs, adjusts, adds;
+    v1::RecordedEdit ablates, severs, adjusts, adds, attaches;
     v1::Ablation& ablation = *ablates.mutable_scene_edit()->add_ablations();
     ablation.set_body("beam");
     for (const std::uint32_t element : {1, 7, 11}) ablation.add_elements(element);
@@ -348,7 +348,17 @@ class EditTarget final : public MessageTarget<v1::RecordedEdit>, OfScene {
     tests::add_probe(with, "second", 0.01, 0, 1, 0);
     *adds.mutable_scene_edit()->add_add_tools() = with.tools(0);
     adds.mutable_scene_edit()->add_remove_tools("probe");
-    seeds_ = {ablates, severs, adjusts, adds};
+    v1::Attachment& clip = *attaches.mutable_scene_edit()->add_add_attachments();
+    clip.set_name("clip");
+    clip.set_body("beam");
+    clip.set_other("beam");
+    clip.mutable_region()->mutable_nodes()->add_indices(1);
+    clip.mutable_other_region()->mutable_nodes()->add_indices(2);
+    clip.set_stiffness_n_per_m(100);
+    clip.set_breaking_force_n(1);
+    clip.add_rest_lengths_m(0.01);
+    attaches.mutable_scene_edit()->add_remove_attachments("weak");
+    seeds_ = {ablates, severs, adjusts, adds, attaches};
   }
 
  private:

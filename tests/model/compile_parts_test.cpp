@@ -123,7 +123,7 @@ TEST_P(CompileParts, AreMadeAgainForAnotherCutIntoPatches) {
   EXPECT_EQ(free.row_body, model.free_bodies.row_body);
 
   const VisibleBodies visible = value_of(make_visible_surface(read.scene, read.bodies, read.boundaries, layout));
-  const VisibleSprings springs = make_visible_springs(read.links.attachments, read.bodies.merged.nodes, layout);
+  const VisibleSprings springs = make_visible_springs(read.links.attachments, layout);
   std::vector<std::uint32_t> rows = visible.surface.rows;
   rows.insert(rows.end(), springs.rows.begin(), springs.rows.end());
   EXPECT_EQ(rows, model.visible.rows);

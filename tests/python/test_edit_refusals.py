@@ -87,6 +87,11 @@ def state_of(scene: tm.SceneHandle) -> tuple[object, ...]:
     return (*tissue, *fields, surface, topology.version, [tool.name for tool in topology.tools], known)
 
 
+def attach(scene: tm.SceneHandle, **arguments: Any) -> None:  # noqa: ANN401
+    clip: dict[str, Any] = {"name": "clip", "body": "lobe", "nodes": [0, 1], "other": "block", "other_nodes": [0]}
+    scene.attach(**{**clip, "stiffness_n_per_m": 100.0, **arguments})
+
+
 REFUSED: dict[str, tuple[Callable[[tm.SceneHandle], object], type[tm.TensormassError], str]] = {
     "an unknown body": (
         lambda scene: scene.edit(ablate={"lobe": [5], "liver": [1]}),
@@ -159,6 +164,41 @@ REFUSED: dict[str, tuple[Callable[[tm.SceneHandle], object], type[tm.TensormassE
         lambda scene: scene.add_tool("probe", "spherical_probe", position_m=(0, 0, 1), radius_m=0.01),
         tm.AlreadyExistsError,
         "the scene has a tool 'probe' already",
+    ),
+    "an attachment that is there": (
+        lambda scene: attach(scene, name="ligament"),
+        tm.AlreadyExistsError,
+        "the scene has an attachment 'ligament' already",
+    ),
+    "an attachment to an unknown body": (
+        lambda scene: attach(scene, other="liver"),
+        tm.InvalidArgumentError,
+        "attachment 'clip'.other: no body has the name 'liver'; the scene has 'block', 'lobe', 'pebble'",
+    ),
+    "an attachment to an unknown node": (
+        lambda scene: attach(scene, other_nodes=[4711]),
+        tm.InvalidArgumentError,
+        r"attachment 'clip'.other_region.nodes: node 4711 does not exist; the body has 75",
+    ),
+    "an attachment of negative stiffness": (
+        lambda scene: attach(scene, stiffness_n_per_m=-1.0),
+        tm.InvalidArgumentError,
+        "attachment 'clip'.stiffness_n_per_m",
+    ),
+    "an attachment whose length is NaN": (
+        lambda scene: attach(scene, rest_length_m=NAN),
+        tm.InvalidArgumentError,
+        r"attachment 'clip'.rest_lengths_m\[0\]",
+    ),
+    "an attachment that was not added": (
+        lambda scene: scene.detach("clip"),
+        tm.NotFoundError,
+        "no attachment 'clip' was added to the scene; these were: none",
+    ),
+    "an attachment that was loaded": (
+        lambda scene: scene.detach("ligament"),
+        tm.FailedPreconditionError,
+        "attachment 'ligament' was loaded with the scene; sever its springs instead",
     ),
     "a level of a tool without power": (
         lambda scene: scene.move_tool("probe", (0, 0, 1), level=0.5),

@@ -46,6 +46,8 @@ VALID: dict[str, dict[str, Any]] = {
         "edit": {
             "add_tools": [{"name": "hook", "capsule": {"radius_m": 0.01, "length_m": 0.5}, "position_m": {"z": 1.0}}],
             "remove_tools": ["probe"],
+            "add_attachments": [{"name": "clip", "body": "a", "other": "a", "rest_lengths_m": [0.5, 1.0]}],
+            "remove_attachments": ["ligament"],
         },
     },
     "ack": {"stream": "frame", "keyframe": 1},

@@ -121,6 +121,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     ligament.region.nodes.indices.append(end[0])
     ligament.other_region.nodes.indices.append(end[1])
     ligament.stiffness_n_per_m, ligament.breaking_force_n = 1, 1e6
+    ligament.rest_lengths_m.append(0.001)
     for law in LAWS:
         body = scene.bodies.add(name=law, density_kg_per_m3=1000, law=tissue(law).message)
         grid = body.mesh.grid

@@ -228,9 +228,8 @@ TEST(Messages, FrameHasAppendedVerticesBehindTheOthers) {
 }
 
 TEST(Messages, EventsSayInWordsWhatHappened) {
-  model::Model model = two_bodies_and_a_probe();
-  model.attachments.emplace_back().name = "ligament";
-  const ToolName probe("probe");
+  const model::Model model = two_bodies_and_a_probe();
+  const FixedName probe("probe"), ligament("ligament");
   EventsSlot slot{{}, 42};
   slot.log.add({.kind = EventKind::kAblated,
                 .step = 5,
@@ -240,17 +239,23 @@ TEST(Messages, EventsSayInWordsWhatHappened) {
                 .position_m = Vec3<double>(1, 2, 3)},
                7);
   slot.log.add({.kind = EventKind::kSevered, .value = 1}, 8);
-  slot.log.add({.kind = EventKind::kSevered, .tool_name = probe, .attachment = 0, .value = 3}, 8);
-  slot.log.add({.kind = EventKind::kBroken, .attachment = 0, .value = 2}, 8);
+  slot.log.add({.kind = EventKind::kSevered, .tool_name = probe, .attachment_name = ligament, .value = 3}, 8);
+  slot.log.add({.kind = EventKind::kBroken, .attachment_name = ligament, .value = 2}, 8);
   slot.log.add({.kind = EventKind::kHeld,
                 .guard = {.step = 9, .first = {Breach::kNotFinite}, .last = {}, .outcome = GuardEvent::Outcome::kHeld}},
                9);
   slot.log.add({.kind = EventKind::kCutEnded, .body = 1, .tool_name = probe, .value = 2e-6, .work_j = 3e-4}, 10);
-  slot.log.add({.kind = EventKind::kToolRemoved, .tool_name = ToolName("gone")}, 11);
+  slot.log.add({.kind = EventKind::kToolRemoved, .tool_name = FixedName("gone")}, 11);
+  slot.log.add({.kind = EventKind::kAttachmentAdded, .attachment_name = FixedName("clip"), .value = 4}, 12);
+  slot.log.add({.kind = EventKind::kAttachmentRemoved, .attachment_name = FixedName("clip"), .value = 1}, 13);
   v1::SceneEvents events;
   fill_events(model, slot, events);
   EXPECT_EQ(events.topology_version(), 42u);
-  ASSERT_EQ(events.events_size(), 7);
+  ASSERT_EQ(events.events_size(), 9);
+  EXPECT_EQ(events.events(7).text(), "attachment 'clip' was added: 4 springs");
+  EXPECT_EQ(events.events(8).text(), "attachment 'clip' was removed: 1 spring");
+  EXPECT_EQ(events.events(8).kind(), v1::SceneEvent::KIND_ATTACHMENT_REMOVED);
+  EXPECT_EQ(events.events(8).attachment(), "clip");
   EXPECT_EQ(events.events(0).text(), "2 mm³ of body 'second' burnt away by 'probe'");
   EXPECT_EQ(events.events(0).tool(), "probe");
   EXPECT_EQ(events.events(0).position_m().z(), 3);
@@ -265,7 +270,7 @@ TEST(Messages, EventsSayInWordsWhatHappened) {
   EXPECT_EQ(events.events(5).text(), "a cut of body 'second' by 'probe' ends: 2 mm² and 0.3 mJ");
   EXPECT_EQ(events.events(5).work_j(), 3e-4);
   EXPECT_EQ(events.events(6).text(), "tool 'gone' was removed");
-  for (int kind = v1::SceneEvent::KIND_ABLATED; kind <= v1::SceneEvent::KIND_TOOL_REMOVED; ++kind) {
+  for (int kind = v1::SceneEvent::KIND_ABLATED; kind <= v1::SceneEvent::KIND_ATTACHMENT_REMOVED; ++kind) {
     EventsSlot one{{}, 1};
     one.log.add({.kind = static_cast<EventKind>(kind)}, 1);
     fill_events(model, one, events);

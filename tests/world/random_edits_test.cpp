@@ -5,6 +5,7 @@
 #include <map>
 #include <optional>
 #include <random>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -17,9 +18,9 @@
 #include "support/recorded.h"
 #include "world/runner.h"
 
-/// Random edits in a row: material burnt away, springs severed, values adjusted under a tool that presses, tools that
-/// come and go, resets, snapshots and restored ones. Nothing fails but what the scene refuses in words; mass is
-/// balanced after each; the recording is repeated to the last bit; memory stays flat.
+/// Random edits in a row: material burnt away, springs severed, values adjusted under a tool that presses, tools and
+/// attachments that come and go, resets, snapshots and restored ones. Nothing fails but what the scene refuses in
+/// words; mass is balanced after each; the recording is repeated to the last bit; memory stays flat.
 ///
 /// TENSORMASS_RANDOM_EDITS says how many. 10,000 of them: docs/decisions/recording.md
 namespace tensormass::world {
@@ -75,9 +76,10 @@ class RandomScene {
 
   /// Does one edit, or is refused.
   void edit(Runner& runner) {
-    switch (random_() % 16) {
+    switch (random_() % 17) {
       case 0:
         ASSERT_TRUE(runner.reset());
+        clips_.clear();
         for (std::vector<double>& of_body : kept_) std::fill(of_body.begin(), of_body.end(), 1.0);
         return;
       case 1:
@@ -102,6 +104,8 @@ class RandomScene {
         return move(runner);
       case 9:
         return change_tools(runner);
+      case 10:
+        return change_attachments(runner);
       default:
         return burn(runner);
     }
@@ -139,8 +143,9 @@ class RandomScene {
   void sever(Runner& runner) {
     v1::SceneEdit edit;
     v1::Severing& severing = *edit.add_severings();
-    severing.set_attachment("strings");
-    severing.add_springs(static_cast<std::uint32_t>(random_() % 10));
+    const bool severs_clip = !clips_.empty() && random_() % 2 == 0;
+    severing.set_attachment(severs_clip ? clips_.back() : "strings");
+    severing.add_springs(static_cast<std::uint32_t>(random_() % (severs_clip ? 3 : 10)));
     if (const auto severed = runner.edit(edit); !severed) {
       EXPECT_EQ(severed.error().code, ErrorCode::kFailedPrecondition) << severed.error().message;
     }
@@ -176,6 +181,41 @@ class RandomScene {
     EXPECT_TRUE(runner.submit_pose(tools_.back(), pose));
   }
 
+  /// Adds a clip of three springs, or removes one that was added.
+  void change_attachments(Runner& runner) {
+    v1::SceneEdit edit;
+    const bool adds = clips_.empty() || (clips_.size() < 5 && random_() % 2 == 0);
+    const std::string name = adds ? "clip" + std::to_string(random_() % 4) : clips_[random_() % clips_.size()];
+    if (adds) {
+      v1::Attachment& clip = *edit.add_add_attachments();
+      clip.set_name(name);
+      clip.set_body("beam");
+      clip.set_other(random_() % 2 == 0 ? "other" : "beam");
+      std::set<std::uint32_t> nodes;
+      while (nodes.size() < 4) nodes.insert(static_cast<std::uint32_t>(random_() % 45));
+      clip.mutable_other_region()->mutable_nodes()->add_indices(*nodes.begin());
+      nodes.erase(nodes.begin());
+      clip.mutable_region()->mutable_nodes()->mutable_indices()->Assign(nodes.begin(), nodes.end());
+      clip.set_stiffness_n_per_m(std::exp(6 * uniform()));
+      if (random_() % 3 == 0) clip.set_breaking_force_n(uniform());
+      if (random_() % 3 == 0) clip.add_rest_lengths_m(0.05 * uniform());
+    } else {
+      edit.add_remove_attachments(name);
+    }
+    if (const auto changed = runner.edit(edit); !changed) {
+      EXPECT_TRUE(adds) << changed.error().message;
+      const ErrorCode code = changed.error().code;  // the name is taken, or a node has no material
+      EXPECT_TRUE(code == ErrorCode::kAlreadyExists || code == ErrorCode::kFailedPrecondition)
+          << changed.error().message;
+      return;
+    }
+    if (adds) {
+      clips_.push_back(name);
+    } else {
+      std::erase(clips_, name);
+    }
+  }
+
   void burn(Runner& runner) {
     const std::size_t b = random_() % 2;
     v1::SceneEdit edit;
@@ -202,7 +242,7 @@ class RandomScene {
 
   std::mt19937 random_;
   std::vector<std::vector<double>> volumes_, kept_;  // [body, element]
-  std::vector<std::string> names_, tools_;           // tools that were added
+  std::vector<std::string> names_, tools_, clips_;   // tools and attachments that were added
   std::optional<Kept> snapshot_;
 };
 

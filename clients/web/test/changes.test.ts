@@ -430,7 +430,7 @@ describe("pages of a scene that changes", () => {
     page.receive("topology", topologyBytes({ version: 8n }));
     page.receive("events", events(7n));
     expect(page.session.readings().events).toEqual([]);
-    for (const kind of [Kind.UNSPECIFIED, Kind.PIECE_FREE, Kind.SEVERED, Kind.ADJUSTED, Kind.RESTORED, Kind.GUARD, Kind.HELD, Kind.BROKEN, Kind.CUT, Kind.CUT_BEGUN, Kind.CUT_ENDED, Kind.TOOL_ADDED, Kind.TOOL_REMOVED]) {
+    for (const kind of [Kind.UNSPECIFIED, Kind.PIECE_FREE, Kind.SEVERED, Kind.ADJUSTED, Kind.RESTORED, Kind.GUARD, Kind.HELD, Kind.BROKEN, Kind.CUT, Kind.CUT_BEGUN, Kind.CUT_ENDED, Kind.TOOL_ADDED, Kind.TOOL_REMOVED, Kind.ATTACHMENT_ADDED, Kind.ATTACHMENT_REMOVED]) {
       expect(eventLabel({ kind })).not.toBe("");
     }
   });

@@ -171,6 +171,23 @@ describe("SceneStore", () => {
     expect(store.findings.list().map(({ message }) => message)).toEqual(["too soft"]);
   });
 
+  it("keeps what it knows of the bodies when attachments come and go", () => {
+    store.setFrame(frame(1n));
+    store.setZero();
+    const { sceneVersion, reference } = store;
+    store.setTopology(decodeTopology(topologyBytes({ version: 9n, ...ATTACHED.topology })));
+    expect(store.topology!.attachments.map(({ name }) => name)).toEqual(["ligament", "string"]);
+    expect(store).toMatchObject({ sceneVersion, reference, frame: null });
+    // Removed and added again, with another length.
+    const again = ATTACHED.topology.attachments.map((one) => ({ ...one, restLengthsM: new Uint8Array(one.restLengthsM.length) }));
+    store.setTopology(decodeTopology(topologyBytes({ version: 10n, ...ATTACHED.topology, attachments: again })));
+    expect(store).toMatchObject({ sceneVersion, reference });
+    store.setTopology(topology(11n));
+    expect(store).toMatchObject({ sceneVersion, reference });
+    store.setTopology(topology(12n)); // loaded again
+    expect(store).toMatchObject({ sceneVersion: 12n, reference: null });
+  });
+
   it("keeps what it knows of the bodies when tools come and go", () => {
     const withTools = (version: bigint, ...names: string[]) =>
       decodeTopology(topologyBytes({ version, tools: names.map((name) => ({ name, radiusM: 0.01, tipOffsetM: {} })) }));

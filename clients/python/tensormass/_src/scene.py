@@ -17,7 +17,7 @@ from tensormass._shared.vectors import Vector, vector3
 from tensormass._src import findings, mesh_files, mesh_units, meshes, node_conditions, notebook, textures
 from tensormass._src.elastic_constants import young_poisson
 from tensormass._src.laws import DEFAULT_LAW, LAWS, LIVER, law_message
-from tensormass._src.links import Nodes, make_attachment, make_contact
+from tensormass._src.links import Nodes, RestLength, make_attachment, make_contact
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.solver_settings import Integrator, OnFault, Precision, set_fields
@@ -513,6 +513,7 @@ class Scene:
         *,
         stiffness_n_per_m: float,
         breaking_force_n: float | None = None,
+        rest_length_m: RestLength = None,
     ) -> scene_pb2.Attachment:
         """Holds nodes of a body to another body by springs that only pull, such as a ligament.
 
@@ -520,12 +521,14 @@ class Scene:
             nodes: indices, a mask, or the name of a set of the body. Each is held by the nearest of `other_nodes`.
             stiffness_n_per_m: of all springs together.
             breaking_force_n: force at which the attachment tears if all springs are pulled alike; None: never.
+            rest_length_m: length at rest of all springs, or of each; None: the distance of its nodes at rest.
 
         Raises:
             InvalidArgumentError: no such body, or no nodes.
         """
         settings = {"stiffness_n_per_m": stiffness_n_per_m, "breaking_force_n": breaking_force_n}
-        attachment = make_attachment(name, self.body(body), nodes, self.body(other), other_nodes, settings)
+        ends = (self.body(body), nodes, self.body(other), other_nodes)
+        attachment = make_attachment(name, *ends, settings, rest_length_m)
         self.message.attachments.append(attachment)
         return self.message.attachments[-1]
 

@@ -38,3 +38,8 @@ def cut_of(body: str, blade: npt.ArrayLike) -> adjustment_pb2.SceneEdit:
 def tools_of(added: Iterable[scene_pb2.Tool], removed: Iterable[str]) -> adjustment_pb2.SceneEdit:
     """Returns the edit of `SceneHandle.add_tool` and `remove_tool`."""
     return adjustment_pb2.SceneEdit(add_tools=added, remove_tools=removed)
+
+
+def attachments_of(added: Iterable[scene_pb2.Attachment], removed: Iterable[str]) -> adjustment_pb2.SceneEdit:
+    """Returns the edit of `SceneHandle.attach` and `detach`."""
+    return adjustment_pb2.SceneEdit(add_attachments=added, remove_attachments=removed)

@@ -30,8 +30,9 @@ from tensormass._src.events import EventStream
 from tensormass._src.fields import FieldName, Fields, field_numbers
 from tensormass._src.frame_stream import FrameStream
 from tensormass._src.frames import Feedback, Frame, find_tool, fits
+from tensormass._src.links import Nodes, RestLength, new_attachment
 from tensormass._src.poses import PoseSender, PoseSequence
-from tensormass._src.scene_edits import cut_of, edit_of, tools_of
+from tensormass._src.scene_edits import attachments_of, cut_of, edit_of, tools_of
 from tensormass._src.scene_report import REPORT_FIELDS, report_path, write_report
 from tensormass._src.step_record import StepRecord
 from tensormass._src.streams import Transport
@@ -366,6 +367,41 @@ class SceneHandle:
         request = control_pb2.EditSceneRequest(scene=self.name, edit=cut_of(body, blade))
         return self._connection.call("EditScene", request, timeout_s=LOAD_TIMEOUT_S).status
 
+    def attach(
+        self,
+        name: str,
+        body: str,
+        nodes: Nodes,
+        other: str,
+        other_nodes: Nodes,
+        *,
+        stiffness_n_per_m: float,
+        breaking_force_n: float | None = None,
+        rest_length_m: RestLength = None,
+    ) -> stream_pb2.SceneStatus:
+        """Holds nodes of a body to another body or to itself while the scene goes on, as a clip does, until a reset.
+
+            scene.attach("clip", "liver", left, "liver", right, stiffness_n_per_m=500)
+
+        Args:
+            rest_length_m: length at rest of all springs, or of each; None: their present distance, so that they start
+                without a force. The other arguments are those of `Scene.attach`.
+
+        Raises:
+            AlreadyExistsError, InvalidArgumentError: the scene has one of this name, or could not be loaded with it.
+            FailedPreconditionError, ResourceExhaustedError: no `editing`, no material at a node, or too many springs.
+        """
+        ends, springs = ((body, nodes), (other, other_nodes)), (stiffness_n_per_m, breaking_force_n, rest_length_m)
+        return self._change(attachments_of([new_attachment(name, ends, *springs)], [])).status
+
+    def detach(self, *names: str) -> stream_pb2.SceneStatus:
+        """Removes attachments that `attach` added, whole or broken. Their names are free then.
+
+        Raises:
+            NotFoundError, FailedPreconditionError: one was not added, or was loaded with the scene. Then none goes.
+        """
+        return self._change(attachments_of([], names)).status
+
     def adjust(
         self,
         *,
@@ -440,7 +476,7 @@ class SceneHandle:
             ResourceExhaustedError: it is one tool too many.
         """
         tool = tool_of(name, kind, position_m, fields)
-        return list(self._change_tools(tools_of([tool], [])).findings)
+        return list(self._change(tools_of([tool], [])).findings)
 
     def remove_tool(self, *names: str) -> stream_pb2.SceneStatus:
         """Removes tools while the scene goes on. They let go of the tissue at once, and the names are free again.
@@ -450,9 +486,9 @@ class SceneHandle:
         Raises:
             NotFoundError: no such tool; then none is removed.
         """
-        return self._change_tools(tools_of([], names)).status
+        return self._change(tools_of([], names)).status
 
-    def _change_tools(self, edit: adjustment_pb2.SceneEdit) -> control_pb2.EditSceneResponse:
+    def _change(self, edit: adjustment_pb2.SceneEdit) -> control_pb2.EditSceneResponse:
         self._followed = None
         for name in edit.remove_tools:
             self._poses.pop(name, None)

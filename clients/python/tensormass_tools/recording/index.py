@@ -19,7 +19,7 @@ from array import array
 from bisect import bisect_right
 from collections import OrderedDict
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from google.protobuf.message import Message
 
@@ -62,8 +62,13 @@ MARKED_EVENTS = frozenset(
         event_pb2.SceneEvent.KIND_SEVERED,
         event_pb2.SceneEvent.KIND_TOOL_ADDED,
         event_pb2.SceneEvent.KIND_TOOL_REMOVED,
+        event_pb2.SceneEvent.KIND_ATTACHMENT_ADDED,
+        event_pb2.SceneEvent.KIND_ATTACHMENT_REMOVED,
     }
 )
+
+#: Fields in which topologies of a recording differ.
+_PARTS: Final = ("version", "tools", "attachments", "attachment_point_count")
 
 Kind = TypeVar("Kind", bound=Message)
 
@@ -81,12 +86,12 @@ class RecordingIndex:
         reader = RecordingReader(path)
         self.name = path.name
         self.scene, self.start = reader.scene, reader.start
-        #: With the tools of the first frame.
+        #: With the tools and attachments of the first frame.
         self.topology = stream_pb2.Topology()
-        # Tools of each version of the topology, which differ by nothing else.
-        self._tools: dict[int, list[stream_pb2.ToolShape]] = {}
+        # Tools and attachments of each version of the topology, which differ by nothing else.
+        self._parts: dict[int, stream_pb2.Topology] = {}
         # What topology_of made last: a topology may hold pictures, and most frames follow one of the same version.
-        self._with_other_tools = stream_pb2.Topology()
+        self._with_other_parts = stream_pb2.Topology()
         #: Time of each frame from the first one [s].
         self.times_s = array("d")
         self.marks: list[Mark] = []
@@ -123,17 +128,17 @@ class RecordingIndex:
         return self._message(self._statuses, before - 1, stream_pb2.SceneStatus) if before > 0 else None
 
     def topology_of(self, frame: stream_pb2.Frame) -> stream_pb2.Topology:
-        """Returns the topology with the tools of a frame."""
+        """Returns the topology with the tools and attachments of a frame."""
         if frame.topology_version == self.topology.version:
             return self.topology
-        if frame.topology_version != self._with_other_tools.version:
+        if frame.topology_version != self._with_other_parts.version:
             out = stream_pb2.Topology()
             out.CopyFrom(self.topology)
-            out.version = frame.topology_version
-            del out.tools[:]
-            out.tools.extend(self._tools[frame.topology_version])
-            self._with_other_tools = out
-        return self._with_other_tools
+            for name in _PARTS:
+                out.ClearField(name)
+            out.MergeFrom(self._parts[frame.topology_version])
+            self._with_other_parts = out
+        return self._with_other_parts
 
     def changes(self, frame: stream_pb2.Frame) -> changes_pb2.SurfaceChanges | None:
         """Reads the newest changes of the surface that are not newer than a frame. Raises like `frame`."""
@@ -166,10 +171,10 @@ class RecordingIndex:
     def _take(self, found: Found, place: ChunkPlace, timeline: _Timeline) -> None:
         message = CHANNELS[found.channel].FromString(found.data)
         if isinstance(message, stream_pb2.Topology):
-            if not self._tools:
+            if not self._parts:
                 self.topology = message
             if len(message.bodies) == len(self.topology.bodies):
-                self._tools[message.version] = list(message.tools)
+                self._parts[message.version] = _parts_of(message)
         elif isinstance(message, recording_pb2.RecordedEdit):
             timeline.take_edit(message)
         elif isinstance(message, recording_pb2.RecordedStep):
@@ -179,7 +184,7 @@ class RecordingIndex:
             self._statuses.add(place, found.at, len(found.data))
         elif isinstance(message, changes_pb2.SurfaceChanges):
             rises = not self._revisions or message.revision >= self._revisions[-1]
-            if rises and message.topology_version in self._tools:
+            if rises and message.topology_version in self._parts:
                 self._revisions.append(message.revision)
                 self._changes.add(place, found.at, len(found.data))
         elif isinstance(message, event_pb2.SceneEvents):
@@ -188,7 +193,7 @@ class RecordingIndex:
                 timeline.take_events(message)
                 self._event_times_ns.append(newest_ns)
                 self._events.add(place, found.at, len(found.data))
-        elif isinstance(message, stream_pb2.Frame) and message.topology_version in self._tools:
+        elif isinstance(message, stream_pb2.Frame) and message.topology_version in self._parts:
             base = 12 * sum(body.vertex_count for body in self.topology.bodies)
             more = len(message.positions) - base
             if more < 0 or more % 12 or (more and message.revision == 0):
@@ -218,6 +223,15 @@ class RecordingIndex:
         self._held[chunk_at] = content
         while len(self._held) > 1 and self.held_bytes > MAX_HELD_BYTES:
             self._held.popitem(last=False)
+
+
+def _parts_of(topology: stream_pb2.Topology) -> stream_pb2.Topology:
+    return stream_pb2.Topology(
+        version=topology.version,
+        tools=topology.tools,
+        attachments=topology.attachments,
+        attachment_point_count=topology.attachment_point_count,
+    )
 
 
 class _Places:

@@ -44,6 +44,10 @@ export function eventLabel({ kind }: Pick<SceneEvent, "kind">): string {
       return "tool added";
     case Kind.TOOL_REMOVED:
       return "tool removed";
+    case Kind.ATTACHMENT_ADDED:
+      return "attached";
+    case Kind.ATTACHMENT_REMOVED:
+      return "detached";
     default:
       return "event";
   }

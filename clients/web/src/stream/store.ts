@@ -26,14 +26,19 @@ export interface Reference {
 /** A status is current for frames that are at most this much newer [ns on the server's clock]. */
 export const STATUS_HOLDS_NS = 3_000_000_000n;
 
-/** Whether a topology is the one before with other tools: EditScene added or removed some. */
-function hasOtherTools(before: Topology | null, now: Topology | null): boolean {
+/** Tools and attachments of a topology, in words that differ where these do. */
+function partsOf({ tools, attachments }: Topology): string {
+  const springs = attachments.map(({ name, restLengthsM }) => `${name} ${restLengthsM.join(" ")}`);
+  return [...tools.map(({ name }) => name), "", ...springs].join("\n");
+}
+
+/** Whether a topology is the one before with other tools or attachments: EditScene added or removed some. */
+function hasOtherParts(before: Topology | null, now: Topology | null): boolean {
   if (before === null || now === null || before.scene !== now.scene || before.version === now.version) {
     return false;
   }
-  const [names, others] = [before, now].map(({ tools }) => tools.map(({ name }) => name).join(" "));
   return (
-    names !== others &&
+    partsOf(before) !== partsOf(now) &&
     before.bodies.length === now.bodies.length &&
     before.bodies.every(({ name, vertexCount, triangles }, i) => {
       const body = now.bodies[i]!;
@@ -49,7 +54,7 @@ function hasOtherTools(before: Topology | null, now: Topology | null): boolean {
 
 export class SceneStore {
   topology: Topology | null = null;
-  /** Version of the first topology of the scene on show. Those that differ from it by their tools belong to it. */
+  /** Version of the first topology of the scene on show. Those that differ from it by their tools or attachments belong to it. */
   sceneVersion: bigint | null = null;
   frame: Frame | null = null;
   status: Status | null = null;
@@ -86,7 +91,7 @@ export class SceneStore {
   }
 
   setTopology(topology: Topology): void {
-    const another = topology.version !== this.topology?.version && !hasOtherTools(this.topology, topology);
+    const another = topology.version !== this.topology?.version && !hasOtherParts(this.topology, topology);
     this.#replaceTopology(topology);
     const { status } = this;
     if (another && status !== null) {
@@ -258,9 +263,9 @@ export class SceneStore {
   }
 
   #replaceTopology(topology: Topology | null): void {
-    const sameScene = topology?.wholeVersion === this.topology?.wholeVersion || hasOtherTools(this.topology, topology);
+    const sameScene = topology?.wholeVersion === this.topology?.wholeVersion || hasOtherParts(this.topology, topology);
     // The same topology may come again. What the user chose as zero then stays.
-    if (topology?.version !== this.topology?.version && !hasOtherTools(this.topology, topology)) {
+    if (topology?.version !== this.topology?.version && !hasOtherParts(this.topology, topology)) {
       this.reference = null;
       this.#field = null;
       this.valuesRevision += 1;

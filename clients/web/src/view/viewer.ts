@@ -217,7 +217,7 @@ export class Viewer implements Picture {
   }
 
   #build(topology: Topology, frame: Frame): void {
-    // The same scene in another detail, or with other tools, keeps its place in the picture.
+    // The same scene in another detail, or with other tools or attachments, keeps its place in the picture.
     if (this.#store.sceneVersion !== this.#framed) {
       this.#dropLeaving();
       this.#framed = this.#store.sceneVersion;

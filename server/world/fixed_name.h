@@ -10,12 +10,13 @@
 
 namespace tensormass::world {
 
-/// The name of a tool that may be gone when somebody reads it. A value of fixed size: copies allocate nothing.
-class ToolName {
+/// The name of a tool or an attachment that may be gone when somebody reads it. A value of fixed size: copies allocate
+/// nothing.
+class FixedName {
  public:
-  ToolName() = default;
-  explicit ToolName(std::string_view name) : size_(name.size()) {
-    TM_ASSERT(size_ <= text_.size(), "names of tools have been checked");
+  FixedName() = default;
+  explicit FixedName(std::string_view name) : size_(name.size()) {
+    TM_ASSERT(size_ <= text_.size(), "names have been checked");
     std::copy(name.begin(), name.end(), text_.begin());
   }
   std::string_view view() const { return {text_.data(), size_}; }
