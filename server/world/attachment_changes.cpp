@@ -17,6 +17,7 @@
 #include "core/names.h"
 #include "model/edit_tables.h"
 #include "model/scene_input.h"
+#include "world/guard.h"
 
 namespace tensormass::world {
 
@@ -81,15 +82,17 @@ std::array<std::uint32_t, 2> rows_of(const model::Model& model, std::uint32_t sp
   return {model.links.spring_rows[place], model.links.spring_rows[place + 1]};
 }
 
-/// Returns the distance of the ends of a spring in a state [m].
+/// Returns the distance of the ends of a spring in a state [m]; where the next scene is cut further, at rest.
 double distance_m(const model::Model& present, const backend::RowState& state, const model::Model& next,
                   std::uint32_t spring) {
+  const bool same_nodes = present.layout.row_of_node.size() == next.layout.row_of_node.size();
   std::array<Vec3<double>, 2> ends;
   for (std::size_t end = 0; end < 2; ++end) {
-    const std::uint32_t node = next.layout.node_of_row[rows_of(next, spring)[end]];
-    const std::size_t at = 4 * std::size_t{present.layout.row_of_node[node]};
+    const std::uint32_t row = rows_of(next, spring)[end], node = next.layout.node_of_row[row];
+    const std::size_t at = same_nodes ? 4 * std::size_t{present.layout.row_of_node[node]} : 0;
     for (std::size_t c = 0; c < 3; ++c) {
-      ends[end][static_cast<int>(c)] = present.rest[at + c] + state.displacement[at + c];
+      const double moved = same_nodes ? state.displacement[at + c] : 0;
+      ends[end][static_cast<int>(c)] = next.rest[4 * std::size_t{row} + c] + moved;
     }
   }
   return (ends[0] - ends[1]).norm();
@@ -109,8 +112,10 @@ Result<v1::SceneAttachments> edited_attachments(const v1::Scene& loaded, const v
   }
   TM_ASSIGN_OR_RETURN(gone, read_removed(loaded, present, edit));
   v1::SceneAttachments out;
-  for (const v1::Attachment& attachment : present.attachments()) {
-    if (!gone.contains(attachment.name())) *out.add_attachments() = attachment;
+  for (int i = 0; i < present.attachments_size(); ++i) {
+    if (gone.contains(present.attachments(i).name())) continue;
+    *out.add_attachments() = present.attachments(i);
+    out.add_energies_j(i < present.energies_j_size() ? present.energies_j(i) : 0);
   }
   for (int i = 0; i < edit.add_attachments_size(); ++i) {
     const v1::Attachment& attachment = edit.add_attachments(i);
@@ -155,6 +160,7 @@ Result<void> state_rest_lengths(const model::Model& present, const World::Copied
     v1::Attachment& attachment = *attachments.mutable_attachments(static_cast<int>(i));
     const std::size_t place = count - added + i;
     const bool is_new = i + new_count >= added, is_open = attachment.rest_lengths_m().empty();
+    double energy_j = 0;
     for (std::uint32_t spring = begin[place]; spring < begin[place + 1]; ++spring) {
       for (const std::uint32_t row : rows_of(next, spring)) {
         if (!is_new || material.is_left(row)) continue;
@@ -165,14 +171,26 @@ Result<void> state_rest_lengths(const model::Model& present, const World::Copied
                                 "what is left",
                                 attachment.name(), node - body.node_begin, body.name));
       }
-      if (!is_open) continue;
       const double length_m = distance_m(present, state.tissue.rows, next, spring);
+      double* numbers = next.links.spring_numbers.data() + 3 * std::size_t{next.links.spring_places[spring]};
+      if (!is_open) {
+        energy_j += spring_energy_j(numbers, length_m);
+        continue;
+      }
       attachment.add_rest_lengths_m(length_m);
-      next.links.spring_numbers[3 * std::size_t{next.links.spring_places[spring]} + 1] = length_m;
+      numbers[1] = length_m;
       if (!next.attachments.empty()) {
         next.attachments[place].rest_lengths_m[spring - begin[place]] = static_cast<float>(length_m);
       }
     }
+    if (!is_new) continue;
+    if (energy_j > limits::kMaxAttachmentEnergyJ) {
+      return fail(ErrorCode::kFailedPrecondition,
+                  fmt::format("attachment '{}': its springs would come with {:.3g} J, more than "
+                              "limits::kMaxAttachmentEnergyJ = {}; give larger rest_lengths_m or less stiffness",
+                              attachment.name(), energy_j, limits::kMaxAttachmentEnergyJ));
+    }
+    attachments.add_energies_j(energy_j);
   }
   return {};
 }

@@ -46,11 +46,11 @@ Result<v1::SceneAttachments> edited_attachments(const v1::Scene& loaded, const v
                                                 const v1::SceneEdit& edit);
 
 /// States the lengths at rest of attachments that leave them open: the present distances. Fails if they have too many
-/// springs, or if a spring of a new one hangs on a node without material.
+/// springs, or if a new one has too much energy, or a spring at a node without material.
 ///
 ///   present       has the layout of the state; the bodies are those of `next`
 ///   next          a model with the attachments, loaded ones first; gets the lengths
-///   attachments   those beside the loaded ones; gets the lengths
+///   attachments   those beside the loaded ones; gets the lengths, and the energies of new ones
 ///   new_count     how many of them an edit adds, the last ones
 Result<void> state_rest_lengths(const model::Model& present, const World::Copied& state, model::Model& next,
                                 v1::SceneAttachments& attachments, std::size_t new_count);

@@ -93,6 +93,21 @@ double least_energy(const model::Model& m) {
   return energy * kLeastStrain * kLeastStrain;
 }
 
+/// Energy of springs that are longer than their length at rest when the scene is at rest [J]. They may turn it into
+/// motion.
+double springs_energy(const model::Model& m) {
+  const model::Links& links = m.links;
+  double energy = 0;
+  for (std::size_t spring = 0; spring < links.spring_count(); ++spring) {
+    const auto rest_of = [&](std::size_t end) {
+      return Eigen::Map<const Vec3<double>>(m.rest.data() + 4 * std::size_t{links.spring_rows[2 * spring + end]});
+    };
+    const double* numbers = links.spring_numbers.data() + 3 * spring;
+    energy += spring_energy_j(numbers, (rest_of(0) - rest_of(1)).norm());
+  }
+  return energy;
+}
+
 /// Says whether a step must end in an equilibrium.
 bool must_converge(const model::Model& m) { return m.quasi_static() && m.iterates() && !m.allow_unconverged; }
 
@@ -103,6 +118,11 @@ bool may_fall(const model::Model& m) {
 }
 
 }  // namespace
+
+double spring_energy_j(const double* numbers, double length_m) {
+  const double tension_n = std::min(numbers[0] * std::max(length_m - numbers[1], 0.0), numbers[2]);
+  return tension_n * tension_n / (2 * numbers[0]);
+}
 
 double max_distance_m(const model::Model& m) {
   if (must_converge(m) || may_fall(m)) return std::numeric_limits<double>::infinity();
@@ -184,6 +204,7 @@ Guard::Guard(const model::Model& m)
       max_residual_(m.floor_tolerance > 0 ? m.floor_tolerance : kMaxLinearResidual),
       max_energy_ratio_(m.max_energy_ratio.value_or(kEnergySlack)),
       least_energy_j_(least_energy(m)),
+      springs_j_(springs_energy(m)),
       newton_tolerance_(m.newton_tolerance),
       checks_energy_(counts_all_work(m)),
       must_converge_(must_converge(m)) {
@@ -219,8 +240,8 @@ bool Guard::trusts(const solver::StepResult& result, const StepEnergy& energy) c
 
 /// Returns `ratio` times the energy that can be kinetic after the step, plus what is always allowed.
 double Guard::kinetic_bound_j(const solver::StepResult& result, const StepEnergy& energy, double ratio) const {
-  const double there =
-      energy.available_j + energy.contacts_j + std::max(result.work_j, 0.0) + std::max(energy.tools_work_j, 0.0);
+  const double there = energy.available_j + energy.contacts_j + springs_j_ + added_springs_j_ +
+                       std::max(result.work_j, 0.0) + std::max(energy.tools_work_j, 0.0);
   return ratio * there + least_energy_j_;
 }
 

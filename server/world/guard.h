@@ -60,6 +60,10 @@ struct BoundCheck {
 /// Returns the largest distance of a node from its rest position [m]. Infinite if a body may fall, because it may do so
 /// without end, or if the scene looks for an equilibrium.
 double max_distance_m(const model::Model& model);
+/// Returns the energy that a spring of a length turns into motion at most, if it breaks where it says [J].
+///
+///   numbers   as in view::LinksView::spring_numbers
+double spring_energy_j(const double* numbers, double length_m);
 
 /// In words: "a node is 0.3 m from its rest position, farther than 0.15 m".
 std::string to_text(const BoundCheck& check);
@@ -126,12 +130,15 @@ class Guard {
   /// energy than there can be. Far from rest, a linearized step with a nearly singular stiffness does: it stays within
   /// the bounds at first and leaves them steps later.
   bool trusts(const solver::StepResult& result, const StepEnergy& energy) const;
+  /// Allows the energy that springs had when they came to the scene, besides that of its own springs at rest [J].
+  void allow_springs(double energy_j) { added_springs_j_ = energy_j; }
+  double added_springs_j() const { return added_springs_j_; }
 
  private:
   double kinetic_bound_j(const solver::StepResult& result, const StepEnergy& energy, double ratio) const;
 
-  double max_move_m_, trusted_move_m_, max_distance_m_, max_residual_, max_energy_ratio_, least_energy_j_,
-      newton_tolerance_;
+  double max_move_m_, trusted_move_m_, max_distance_m_, max_residual_, max_energy_ratio_, least_energy_j_, springs_j_,
+      newton_tolerance_, added_springs_j_ = 0;
   bool checks_energy_, must_converge_;
 };
 

@@ -1,13 +1,16 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <numeric>
 #include <utility>
 #include <vector>
 
 #include <fmt/format.h>
 
+#include "core/attachment_limits.h"
 #include "core/log.h"
 #include "core/parallel.h"
+#include "model/scene_input.h"
 #include "model/values.h"
 #include "world/cuts.h"
 #include "world/hashes.h"
@@ -211,7 +214,12 @@ Result<v1::SceneStatus> Runner::Impl::change_attachments(const v1::SceneEdit& ed
 
 /// Refuses attachments beside those of the load in a scene that may not have them.
 Result<void> Runner::Impl::check_attachments(const v1::SceneAdjustments& wanted) const {
-  if (wanted.attachments().attachments().empty() || source->scene.has_editing()) return {};
+  const v1::SceneAttachments& attachments = wanted.attachments();
+  for (int i = 0; i < attachments.energies_j_size(); ++i) {
+    TM_RETURN_IF_ERROR(model::read_number(attachments.energies_j(i), 0, limits::kMaxAttachmentEnergyJ,
+                                          fmt::format("changes.attachments.energies_j[{}]", i)));
+  }
+  if (attachments.attachments().empty() || source->scene.has_editing()) return {};
   return fail(
       ErrorCode::kFailedPrecondition,
       "changes.attachments: the scene has no room for attachments; load it with scene.editing, an empty message "
@@ -328,6 +336,8 @@ Result<void> Runner::Impl::swap_world(v1::SceneAdjustments wanted, model::SceneC
   auto next = next_generation(*present, world->shared_model(), compiled.scene_hash, std::move(wanted), std::move(cuts));
   if (changes_parts) next = with_parts_of(*next, places);
   world->set_topology_version(next->topology->version());
+  const auto& energies_j = next->adjustments.attachments().energies_j();
+  world->allow_springs(std::accumulate(energies_j.begin(), energies_j.end(), 0.0));
   std::vector<v1::Finding> found = findings_of(compiled.report, world->model(), places);
   Loop::Swap swap{std::move(world), next, reset == nullptr ? edit : nullptr, std::move(surface), reset == nullptr};
   if (!same_tools) swap.places = std::move(places);

@@ -133,6 +133,8 @@ class World {
   ///
   ///   springs   in the order of the scene's attachments
   Result<void> edit(std::span<const model::Ablation> ablations, std::span<const std::uint32_t> springs);
+  /// Lets guards allow the energy that added attachments brought when they came [J].
+  void allow_springs(double energy_j) { guard_.allow_springs(energy_j); }
   /// What edits have done since the start or the last reset; nullptr: the scene has no editing.
   const model::Editor* editor() const { return editor_ ? &*editor_ : nullptr; }
   /// What edits and tools have taken from each body since then, [body]. Empty: the scene has no editing.

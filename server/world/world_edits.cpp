@@ -146,6 +146,7 @@ void World::take_values(Values& values) {
     model_ = values.model.get();
   }
   loaded_.swap(values.model);
+  values.guard.allow_springs(guard_.added_springs_j());
   guard_ = values.guard;
   energy_.start(energy_.kinetic_j(), diagnose_elastic_energy());
 }

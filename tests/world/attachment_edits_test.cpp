@@ -8,6 +8,7 @@
 #include <thread>
 #include <vector>
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include "support/editing.h"
@@ -150,7 +151,7 @@ TEST_P(AttachmentEdits, CarryTheWeightOfABlock) {
     // The lower four nodes of the block above, the upper four of the one below, once or twice.
     v1::SceneEdit change;
     for (std::size_t i = 0; i < springs / 4; ++i) {
-      v1::Attachment part = attachment("part" + std::to_string(i), "below", {}, "above", {}, kStiffness * 4 / springs);
+      v1::Attachment part = attachment(fmt::format("part{}", i), "below", {}, "above", {}, kStiffness * 4 / springs);
       v1::Box &top = *part.mutable_region()->mutable_box(), &bottom = *part.mutable_other_region()->mutable_box();
       tests::set(*top.mutable_min_m(), -1, -kSide - 1e-6, -1);
       tests::set(*top.mutable_max_m(), 1, -kSide + 1e-6, 1);
@@ -176,11 +177,19 @@ TEST_P(AttachmentEdits, ClosesAGap) {
   };
   v1::Attachment tight = clip();
   tight.add_rest_lengths_m(0);
+  tight.set_stiffness_n_per_m(1e9);
+  EXPECT_REFUSED(closed->edit(add(tight)), ErrorCode::kFailedPrecondition,
+                 "more than limits::kMaxAttachmentEnergyJ = 100; give larger rest_lengths_m or less stiffness");
+  tight.set_stiffness_n_per_m(200);
   edit(*closed, add(tight));
   EXPECT_EQ(closed->topology()->attachments(1).stiffness_n_per_m(), 200.0 / 9) << "one of 9 springs";
   for (Runner* runner : {open.get(), closed.get()}) ASSERT_TRUE(runner->step(60));
   EXPECT_LT(gap(*closed), gap(*open) - 0.005);
-  EXPECT_EQ(closed->status().guard_events(), 0u);
+  EXPECT_EQ(closed->status().guard_events(), 0u) << "guards know the energy that the springs brought";
+  const auto saved = closed->snapshot();
+  ASSERT_TRUE(saved);
+  // Three springs each are 2, 7 and 12 cm long at rest: 200 N/m · (0.02² + 0.07² + 0.12²) m² / 6.
+  EXPECT_NEAR(saved->adjustments().attachments().energies_j(0), 0.657, 0.02);
 }
 
 /// Without a length, the springs have those of the moment at which they come: tissue that is held does not move.
@@ -386,12 +395,12 @@ TEST_P(AttachmentEdits, RefuseInWords) {
   mixed.add_remove_tools("probe");
   EXPECT_REFUSED(runner->edit(mixed), Code::kInvalidArgument, "make two edits of it");
   v1::SceneEdit many;
-  for (int i = 0; i < 256; ++i) *many.add_add_attachments() = clip("c" + std::to_string(i));
+  for (int i = 0; i < 256; ++i) *many.add_add_attachments() = clip(fmt::format("c{}", i));
   EXPECT_REFUSED(runner->edit(many), Code::kResourceExhausted,
                  "257 attachments, more than limits::kMaxAttachments = 256; remove some first");
   many.clear_add_attachments();
   for (int i = 0; i < 100; ++i) {
-    v1::Attachment wide = clip("w" + std::to_string(i));
+    v1::Attachment wide = clip(fmt::format("w{}", i));
     tests::set(*wide.mutable_region()->mutable_box()->mutable_min_m(), -1, -1, -1);
     *many.add_add_attachments() = wide;
   }
