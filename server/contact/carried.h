@@ -17,7 +17,7 @@
 ///          ╰╮╭╯ gap           openness = 0 up to w / 2, 1 from w on, linear in between
 ///           ╰╯
 ///
-/// 1. A cut that is closed is no surface. Whether a tool's core is inside tissue is decided at the closest triangle
+/// 1. A closed cut is not a surface. Whether a tool's core is inside tissue is decided at the closest triangle
 ///    (tools.h), and two faces at the same place say both. So triangles with an openness of zero neither touch nor are
 ///    asked, and tissue with a closed cut answers a tool as whole tissue does.
 /// 2. The width grows with the tool, because a tool feels no slit that is much narrower than itself: a quarter of the
@@ -50,7 +50,7 @@ TM_HOST_DEVICE bool is_face_of_cut(const view::ContactView<Real>& contact, std::
   return is_carried(contact, triangle) && contact.carried.twins[triangle - contact.carried.first] != view::kNoTriangle;
 }
 
-/// Returns how far a triangle stands open, from 0 to 1; all that are no faces of cuts do. slit_m: width of an open cut
+/// Returns how far a triangle stands open, from 0 to 1; 1 if it is not the face of a cut. slit_m: width of an open cut
 template <class Real>
 TM_HOST_DEVICE Real openness(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                              std::uint32_t triangle, Real slit_m) {

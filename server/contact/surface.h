@@ -70,7 +70,7 @@ TM_HOST_DEVICE Corners<Real> corners_of(const view::StateView<Real>& state, cons
 template <class Team, class Real, class Body>
 TM_HOST_DEVICE void for_each_triangle(const Team& team, const view::ContactView<Real>& contact, const Body& body) {
   const std::uint32_t begin = contact.patch_triangles[team.patch()], end = contact.triangles_end[team.patch()];
-  std::uint32_t first = 0, count = 0;  // of the carried ones
+  std::uint32_t first = 0, count = 0;  // carried triangles
   if (contact.carried.first < contact.triangle_count) {
     first = contact.carried.patch_triangles[team.patch()];
     count = contact.carried.patch_triangles[team.patch() + 1] - first;
@@ -175,10 +175,14 @@ struct ContactPoint {
   }
   /// Returns D: how far the point moves in the whole step [m].
   TM_HOST_DEVICE Vec3<Real> motion_in_step() const {
-    const Corners<Real> motion =
-        at_corners<Real>(contact, triangle, [&](std::uint32_t row) { return view::motion_to_end(state, row); });
     Vec3<Real> sum = Vec3<Real>::Zero();
-    for (int c = 0; c < 3; ++c) sum += motion.x[c] * touch.weight[c];
+    const TriangleRows<Real> of(contact, triangle);
+    if (of.weights != nullptr) {
+      for (std::uint32_t k = 0; k < 4; ++k) sum += view::motion_to_end(state, of.rows[k]) * of.share(k, weights());
+      return sum;
+    }
+    // Outer triangles without `share`: the compiler fuses the sum differently with it, and scenes would lose their bits.
+    for (int c = 0; c < 3; ++c) sum += view::motion_to_end(state, of.rows[c]) * touch.weight[c];
     return sum;
   }
 };

@@ -19,7 +19,7 @@ namespace tensormass::model {
 
 namespace {
 
-constexpr std::uint32_t kRows = 4;  // of the element that carries a triangle
+constexpr std::uint32_t kRows = 4;  // the element that carries a triangle has four
 
 /// A triangle while the surface is made.
 struct Carried {
@@ -28,7 +28,7 @@ struct Carried {
   std::array<std::uint32_t, 3> vertices{};
   Eigen::Vector3d centroid = Eigen::Vector3d::Zero();
   double area_m2 = 0;
-  std::uint32_t element = 0;  ///< of the scene
+  std::uint32_t element = 0;  ///< numbered in the scene
   std::uint32_t loaded = 0;   ///< numbered in the body, as loaded
   std::uint32_t part = 0;     ///< mesh::CutSurface::triangle_parts
   bool is_face_of_cut = false;

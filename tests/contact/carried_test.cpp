@@ -142,16 +142,24 @@ TEST_P(FacesOfCuts, ReceiveTheForceThatTheToolReports) {
     for (const v1::ContactMethod method : {v1::CONTACT_METHOD_PENALTY, v1::CONTACT_METHOD_AUGMENTED_LAGRANGIAN}) {
       for (const double friction : {0.0, 0.4}) {
         SCOPED_TRACE(kind + ", friction " + std::to_string(friction));
-        // Free bodies are balanced where the step ends (balance.h), so its moments differ by how far it moves them.
+        // Moments are those about the place of the rows at rest, and differ by how far a step moves them.
         const bool keeps = method == v1::CONTACT_METHOD_AUGMENTED_LAGRANGIAN;
         const double eps = keeps ? 3e-3 : 1e-6;
+        // Newton's method does not quite converge where points of a solid that keep their force touch and leave in
+        // turn.
+        const double unbalanced = keeps && (kind == "box" || kind == "mesh") ? 1e-4 : 1e-10;
         v1::Scene scene = block_scene(kSizeM[0], 6, 3, keeps ? 1.0 / 240 : 1e-5);
+        // Balance (balance.h) would hide a wrong force, and a step with Newton's method has none.
+        scene.mutable_solver()->set_newton_max_iterations(30);
+        scene.mutable_solver()->set_newton_tolerance(1e-11);
         scene.mutable_bodies(0)->clear_fixed();
         const bool is_thin = std::ranges::find(thin, kind) != thin.end();
         // Cut across y: the tool comes from above on the face of the lower half.
         constexpr double kFaceM = 0.0163;
         if (is_thin) {
           tests::add_tool(scene, kind, 0.01, 0.031, kFaceM + 0.0094, 0.014, 1e7);
+          // Its blade would lie along the face, where Newton's method does not converge in so stiff a step.
+          if (kind == "retractor") tests::stand_on_its_tip(*scene.mutable_tools(0));
         } else {
           tests::add_solid(scene, kind, {0.03, 0.02, 0.02}, {0.031, kFaceM + 0.0094, 0.014}, 1e7);
         }
@@ -182,7 +190,7 @@ TEST_P(FacesOfCuts, ReceiveTheForceThatTheToolReports) {
         const Vector3d impulse = -reading.force_n * m.dt_s, turn = -reading.torque_n_m * m.dt_s;
         ASSERT_GT(reading.force_n[1], 0.01);
         EXPECT_EQ(reading.friction_n.norm() > 1e-4, friction > 0);
-        EXPECT_LT((tests::momentum_of(*world) - impulse).norm(), 1e-10 * impulse.norm());
+        EXPECT_LT((tests::momentum_of(*world) - impulse).norm(), unbalanced * impulse.norm());
         EXPECT_LT((moment_of(reading.pose.position_m) - turn).norm(), eps * impulse.norm() * kSizeM.norm());
       }
     }
@@ -250,7 +258,7 @@ TEST_P(FacesOfCuts, AnswerAsTheSkinOfABlockThatEndsThere) {
 
 /// Tissue that hardly moves in a step shows the contact alone: what a tool feels above a cut that is closed, with its
 /// core above the skin or deep below it.
-TEST_P(FacesOfCuts, AreNoSurfaceWhileTheCutIsClosed) {
+TEST_P(FacesOfCuts, DoNotExistWhileTheCutIsClosed) {
   struct Press {
     const char* kind;
     double depth_m;
@@ -292,6 +300,29 @@ TEST_P(FacesOfCuts, AreNoSurfaceWhileTheCutIsClosed) {
       EXPECT_NEAR(force_n[1], force_n[0], 0.08 * force_n[0]) << "rims of the cut have smaller triangles";
     }
   }
+}
+
+/// A tool on a flap that is much thinner than itself feels the side that faces it, and not the face of the cut below.
+TEST_P(FacesOfCuts, DoNotPushAToolThatIsBehindThem) {
+  std::vector<double> force_n;
+  for (const bool is_cut : {false, true}) {
+    v1::Scene scene = block_scene(kSizeM[0], 24, 12, 1e-6);
+    scene.mutable_bodies(0)->clear_fixed();
+    tests::add_tool(scene, "spherical_probe", 0.008, 0.0312, kSizeM[1] + 0.008 - 2e-3, 0.014, 1e6);
+    std::unique_ptr<world::World> world;
+    if (is_cut) {
+      CutBody body(scene);
+      tests::cut_across(body, 1, kSizeM[1] - 5e-4);
+      world = start_apart(scene, body,
+                          [](std::uint32_t piece) { return piece == 0 ? Vector3d(0, -0.1, 0) : Vector3d(0, 0, 0); });
+    } else {
+      world = start(scene);
+    }
+    ASSERT_TRUE(world->step(false));
+    force_n.push_back(world->readings()[0].force_n[1]);
+  }
+  EXPECT_GT(force_n[0], 0.05);
+  EXPECT_NEAR(force_n[1], force_n[0], 1e-3 * force_n[0]);
 }
 
 /// A sphere and a capsule that lie in an open cut push its faces apart, each by what the other one feels.

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <atomic>
 #include <cstdint>
 
@@ -68,13 +69,15 @@ TEST_P(CutTissue, AllocatesNothing) {
   const auto world = start_apart(scene, body, [](std::uint32_t piece) -> Eigen::Vector3d {
     return {0, piece == 0 ? 0.0 : 1.0, 0};
   });
+  double largest_n = 0;
   const std::uint64_t before = allocations.load();
-  for (int i = 0; i < 10; ++i) {
-    world->set_tool_target(0, {{0.05, 0.038 - 0.0003 * i, 0.05}, {1, 0, 0, 0}});
+  for (int i = 0; i < 20; ++i) {
+    world->set_tool_target(0, {{0.05, 0.042 - 0.0003 * i, 0.05}, {1, 0, 0, 0}});
     ASSERT_TRUE(world->step(i % 2 == 0));
+    largest_n = std::max(largest_n, world->readings()[0].force_n.norm());
   }
   EXPECT_EQ(allocations.load() - before, 0u);
-  EXPECT_GT(world->readings()[0].force_n.norm(), 0.01) << "contact was among what ran";
+  EXPECT_GT(largest_n, 0.01) << "contact was among what ran";
 }
 
 /// The loop reads which springs are broken and leaves them in frames.
