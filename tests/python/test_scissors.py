@@ -50,6 +50,7 @@ def test_the_hand_takes_a_piece_off_which_falls(server: tm.Server) -> None:
         assert "cut_begun" in kinds
         now = scene.positions("liver")
         assert FLOOR_M - 0.005 < now[tip, 2] < FLOOR_M + 0.03, "the piece lies on the floor"
+        assert scene.frame().vertices("liver")[:, 2].min() > FLOOR_M - 0.005, "so do crumbs of the cut"
         lobe = rest[:, 0] < 0.088
         assert np.linalg.norm(now[lobe] - rest[lobe], axis=1).max() < 0.02, "the lobe stays"
 
