@@ -181,7 +181,7 @@ struct ContactPoint {
       for (std::uint32_t k = 0; k < 4; ++k) sum += view::motion_to_end(state, of.rows[k]) * of.share(k, weights());
       return sum;
     }
-    // Outer triangles without `share`: the compiler fuses the sum differently with it, and scenes would lose their bits.
+    // Outer triangles without `share`, with which the compiler fuses the sum otherwise: they keep their bits.
     for (int c = 0; c < 3; ++c) sum += view::motion_to_end(state, of.rows[c]) * touch.weight[c];
     return sum;
   }

@@ -326,9 +326,8 @@ NodeStateSizes sizes_of(const Model& m) {
 /// keeps the layout's order.
 std::vector<std::uint32_t> order_of_triangles(const Model& m) {
   if (m.edit_tables) return order_by(m.contact.triangle_count(), [](std::uint32_t triangle) { return triangle; });
-  return order_by(m.contact.triangle_count(), [&](std::uint32_t triangle) {
-    return m.layout.node_of_row[m.contact.row_of(triangle)];
-  });
+  return order_by(m.contact.triangle_count(),
+                  [&](std::uint32_t triangle) { return m.layout.node_of_row[m.contact.row_of(triangle)]; });
 }
 
 std::vector<std::uint32_t> elements_of(const ElementGroup& group) {

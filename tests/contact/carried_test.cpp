@@ -158,7 +158,7 @@ TEST_P(FacesOfCuts, ReceiveTheForceThatTheToolReports) {
         constexpr double kFaceM = 0.0163;
         if (is_thin) {
           tests::add_tool(scene, kind, 0.01, 0.031, kFaceM + 0.0094, 0.014, 1e7);
-          // Its blade would lie along the face, where Newton's method does not converge in so stiff a step.
+          // The blade would lie along the face, where Newton's method does not converge in so stiff a step.
           if (kind == "retractor") tests::stand_on_its_tip(*scene.mutable_tools(0));
         } else {
           tests::add_solid(scene, kind, {0.03, 0.02, 0.02}, {0.031, kFaceM + 0.0094, 0.014}, 1e7);
