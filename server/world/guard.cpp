@@ -120,8 +120,8 @@ bool may_fall(const model::Model& m) {
 }  // namespace
 
 double spring_energy_j(const double* numbers, double length_m) {
-  const double tension_n = std::min(numbers[0] * std::max(length_m - numbers[1], 0.0), numbers[2]);
-  return tension_n * tension_n / (2 * numbers[0]);
+  const double longer_m = std::max(length_m - numbers[1], 0.0);
+  return numbers[0] * longer_m * longer_m / 2;
 }
 
 double max_distance_m(const model::Model& m) {

@@ -60,7 +60,7 @@ struct BoundCheck {
 /// Returns the largest distance of a node from its rest position [m]. Infinite if a body may fall, because it may do so
 /// without end, or if the scene looks for an equilibrium.
 double max_distance_m(const model::Model& model);
-/// Returns the energy that a spring of a length turns into motion at most, if it breaks where it says [J].
+/// Returns the energy of a spring [J]. One that breaks pulls until the end of the step, so it may have all of it.
 ///
 ///   numbers   as in view::LinksView::spring_numbers
 double spring_energy_j(const double* numbers, double length_m);
