@@ -10,7 +10,7 @@
 ///               │ L         L     distance from c to the contact point [m]
 ///          _____↓n____      n     direction in which the tissue is pushed
 ///         a     p     b     p     contact point Σ w_a x_a, the point of the triangle that is closest to c
-///                           s     contact force, stiffness · depth [N]
+///                           s     contact force, stiffness · loaded_m [N]
 ///
 /// A triangle that tilts under a tool carries the load with another of its points: p moves to the corner that comes
 /// closer to c, which pushes that corner back. The energy of the contact, k/2 (radius − L)², therefore resists tilt:
@@ -68,7 +68,7 @@ class Tilt {
     }
     const Real longest = kMaxSizes * size;
     stiffness_ =
-        touch.stiffness * maximum(touch.depth_m, Real(0)) * minimum(touch.lever_m, longest * longest * inverse_lever_);
+        touch.stiffness * maximum(touch.loaded_m, Real(0)) * minimum(touch.lever_m, longest * longest * inverse_lever_);
   }
 
   /// Returns θ + T y / L for a motion of the corners.

@@ -221,8 +221,14 @@ TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
   };
   Kind::for_each_candidate(tool, corners.x[0], corners.x[1], corners.x[2], consider);
   if constexpr (Kind::kCorePoints > 1) {
-    if (deepest.depth_m > 0 && deepest.lever_m > 0)
-      return along_line<Kind>(tool, corners, deepest, place, kept_m, ahead);
+    // Across a gap the line is that of the depth at which the contact pressed.
+    const Real across = deepest.depth_m > 0 ? Real(0) : last.loaded_m - deepest.depth_m;
+    if (deepest.depth_m + across > 0 && deepest.lever_m > 0) {
+      deepest.depth_m += across;
+      Touch<Real> out = along_line<Kind>(tool, corners, deepest, place, Real(kept_m + across), ahead);
+      out.depth_m -= across / out.share;
+      return out;
+    }
   }
   return deepest;
 }
@@ -286,11 +292,11 @@ TM_HOST_DEVICE Real least_stiffness(const view::StateView<Real>& state, const vi
   }
 }
 
-/// Computes each triangle's contacts with one tool. begins_step: the tissue is where the last step ended.
+/// Computes each triangle's contacts with one tool.
 template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::PatchesView& patches,
                                            const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                                           const physics::PlacedTool<Real>& tool, bool begins_step) {
+                                           const physics::PlacedTool<Real>& tool) {
   const auto store = [&](std::uint32_t triangle, std::uint32_t point, const Corners<Real>& corners, Touch<Real> touch) {
     const std::size_t place = contact_place(contact, tool, point, triangle);
     view::TriangleContact<Real>& out = contact.contacts[place];
@@ -301,15 +307,18 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     }
     out.depth_m = touch.depth_m;
     out.stiffness = 0;
+    Real loaded_m = touch.depth_m;
     if (!(touch.depth_m > 0)) {
-      const Real pressed_n = remembered(contact, tool, point, triangle, begins_step).pressed_n;
-      if (!closes(state, contact, triangle, touch, begins_step ? pressed_n : Real(0))) return;
+      const Remembered<Real> last = remembered(state, contact, tool, point, triangle);
+      if (!closes(state, contact, triangle, touch, last.pressed_n)) return;
+      loaded_m = last.loaded_m / touch.share;
     }
     for (int c = 0; c < 3; ++c) {
       out.weight[c] = touch.weights[c];
       out.normal[c] = touch.normal[c];
     }
     out.stiffness = stiffness;
+    out.loaded_m = loaded_m;
     out.lever_m = touch.lever_m;
     out.line_stiffness = whole_stiffness(contact, tool, triangle) * touch.line_share;
     for (int c = 0; c < 3; ++c) out.line[c] = touch.line[c];
@@ -329,7 +338,7 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
         return;
       }
       const auto last = [&](std::uint32_t point) {
-        Remembered<Real> of_point = remembered(contact, tool, point, triangle, begins_step);
+        Remembered<Real> of_point = remembered(state, contact, tool, point, triangle);
         of_point.depth_m /= open;
         return of_point;
       };
@@ -347,7 +356,7 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
       const Corners<Real> corners = corners_of(state, contact, triangle);
       const Real open = openness(state, contact, triangle, slit_width(tool));
       if (!(open > 0)) return store(triangle, 0, corners, {});
-      const Remembered<Real> last = remembered(contact, tool, 0, triangle, begins_step);
+      const Remembered<Real> last = remembered(state, contact, tool, 0, triangle);
       Touch<Real> touch = touch_of_thin(tool, core_depths, corners, last, ahead);
       if (is_face_of_cut(contact, triangle)) touch = turned_to_tool(touch, corners, last.depth_m, open);
       store(triangle, 0, corners, hardened(touch, last.depth_m / touch.share, tool));
@@ -359,15 +368,12 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
 /// Reads displacement, velocity, tools, closest, slips; writes contacts, frictions.
 template <class Team, class Real>
 TM_HOST_DEVICE void generate_contacts(const Team& team, const view::PatchesView& patches,
-                                      const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                                      const view::NewtonView<Real>& newton) {
-  const bool begins_step = newton.control == nullptr || newton.control->begins_step != 0;
+                                      const view::StateView<Real>& state, const view::ContactView<Real>& contact) {
   for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
     const physics::PlacedTool<Real> tool = contact.tools[t];
     physics::with_tool(tool.kind, [&](auto kind) {
       using Kind = typename decltype(kind)::Type;
-      if constexpr (Kind::kContactPoints > 0)
-        generate_contacts_with<Kind>(team, patches, state, contact, tool, begins_step);
+      if constexpr (Kind::kContactPoints > 0) generate_contacts_with<Kind>(team, patches, state, contact, tool);
     });
   }
 }

@@ -38,6 +38,7 @@ struct Touch {
 template <class Real>
 struct Remembered {
   Real pressed_n = 0;  // normal force; zero if nothing depends on it
+  Real loaded_m = 0;   // depth at which a contact of all of the triangle has that force
   Real depth_m = 0;    // by which the contact counts as deeper than it is, because it keeps that force
 };
 
@@ -50,18 +51,18 @@ TM_HOST_DEVICE Real whole_stiffness(const view::ContactView<Real>& contact, cons
 }
 
 /// Returns what a contact remembers, with λ / k for a contact that carries all of its triangle.
-/// begins_step: the tissue is where the last step ended.
 template <class Real>
-TM_HOST_DEVICE Remembered<Real> remembered(const view::ContactView<Real>& contact,
+TM_HOST_DEVICE Remembered<Real> remembered(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                                            const physics::PlacedTool<Real>& tool, std::uint32_t point,
-                                           std::uint32_t triangle, bool begins_step) {
+                                           std::uint32_t triangle) {
   Remembered<Real> out;
   const bool keeps_force = tool.keeps_force != 0;
-  if (tool.remembers == 0 || !(begins_step || keeps_force)) return out;
+  if (tool.remembers == 0 || (state.iterates != 0 && !keeps_force)) return out;
   out.pressed_n = tool.presence * contact.slips[4 * contact_place(contact, tool, point, triangle) + 3];
-  if (!keeps_force || !(out.pressed_n > 0)) return out;
+  if (!(out.pressed_n > 0)) return out;
   const Real stiffness = whole_stiffness(contact, tool, triangle);
-  if (stiffness > 0) out.depth_m = out.pressed_n / stiffness;
+  if (stiffness > 0) out.loaded_m = out.pressed_n / stiffness;
+  if (keeps_force) out.depth_m = out.loaded_m;
   return out;
 }
 
@@ -101,15 +102,15 @@ TM_HOST_DEVICE Real element_stiffness(const view::ContactView<Real>& contact, st
 }
 
 /// Returns whether a contact with a gap closes within the step.
-/// held_back_n: N, or zero if tissue is no longer where it pressed.
+/// pressed_n: N
 template <class Real>
 TM_HOST_DEVICE bool closes(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                           std::uint32_t triangle, const Touch<Real>& touch, Real held_back_n) {
+                           std::uint32_t triangle, const Touch<Real>& touch, Real pressed_n) {
   if (!(touch.share > 0) || touch.normal.dot(touch.normal) == 0) return false;
   Real back = 0;
-  if (held_back_n > 0) {
+  if (pressed_n > 0 && state.iterates == 0) {
     const Real inertial = inertial_stiffness(state, contact, triangle, touch.weights);
-    back = held_back_n / (inertial + element_stiffness(contact, triangle));
+    back = pressed_n / (inertial + element_stiffness(contact, triangle));
   }
   return touch.depth_m + back > touch.normal.dot(motion_ahead(state, contact, triangle).at(touch.weights));
 }

@@ -49,8 +49,7 @@ struct RunStage {
     if constexpr (kKind == K::kBeginBalance) contact::begin_balance(team, s.patches, s.state, s.balance);
     if constexpr (kKind == K::kPrescribe) solver::prescribe(team, s.state, s.prescribed);
     if constexpr (kKind == K::kQueryClosest) contact::query_closest(team, s.patches, s.state, s.contact);
-    if constexpr (kKind == K::kGenerateContacts)
-      contact::generate_contacts(team, s.patches, s.state, s.contact, s.newton);
+    if constexpr (kKind == K::kGenerateContacts) contact::generate_contacts(team, s.patches, s.state, s.contact);
     if constexpr (kKind == K::kBeginLinks) contact::begin_links(team, s.patches, s.state, s.contact, s.links);
     if constexpr (kKind == K::kFindLinks) contact::find_links(team, s.state, s.contact, s.links);
     if constexpr (kKind == K::kBeginEdges && kIsCpu) matrix::begin_edges(team, s.patches, s.state, s.matrix, s.newton);

@@ -16,7 +16,8 @@ template <class Real>
 struct TriangleContact {
   Real weight[3];  // barycentric coordinates of the contact point
   Real normal[3];  // direction in which the tissue is pushed
-  Real depth_m;    // penetration; not positive only in a contact that keeps its force (contact/tools.h)
+  Real depth_m;    // penetration; not positive only in a contact that acts across a gap (contact/touch.h)
+  Real loaded_m;   // depth that carries its load when it tilts: depth_m, or across a gap that of the last step
   Real stiffness;  // [N/m]; zero: no contact
   Real lever_m;    // distance from the tool's core to the contact point; zero if the core is behind the surface
   // The core lies along the triangle, and the contact point moves along it when the triangle tilts (contact/line.h):

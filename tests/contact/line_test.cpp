@@ -67,7 +67,7 @@ view::TriangleContact<double> contact_of(const Touch<double>& touch) {
     out.normal[c] = touch.normal[c];
   }
   out.stiffness = touch.share;
-  out.depth_m = touch.depth_m;
+  out.depth_m = out.loaded_m = touch.depth_m;
   out.lever_m = touch.lever_m;
   return out;
 }
