@@ -84,7 +84,7 @@ TM_HOST_DEVICE void refit_boxes(const Team& team, const view::PatchesView& patch
     view::AxisBox<Real> box{{kFar, kFar, kFar}, {-kFar, -kFar, -kFar}};
     for (std::uint32_t i = leaf * view::kLeafTriangles; i < (leaf + leaves) * view::kLeafTriangles; ++i) {
       if (links.leaf_triangles[i] == view::kNoTriangle) continue;
-      const Corners<Real> corners = corners_of(state, contact, links.leaf_triangles[i]);
+      const Corners<Real> corners = outer_corners_of(state, contact, links.leaf_triangles[i]);
       for (const auto& corner : corners.x) {
         for (int c = 0; c < 3; ++c) {
           box.least[c] = minimum(box.least[c], corner[c]);
@@ -115,7 +115,7 @@ TM_HOST_DEVICE Vec3<Real> vertex_normal(const view::StateView<Real>& state, cons
                                         std::uint32_t vertex) {
   Vec3<Real> sum = Vec3<Real>::Zero();
   for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_end[vertex]; ++i) {
-    sum += corners_of(state, contact, contact.incidence[4 * i]).normal();
+    sum += outer_corners_of(state, contact, contact.incidence[4 * i]).normal();
   }
   return sum;
 }
@@ -126,13 +126,13 @@ TM_HOST_DEVICE Vec3<Real> vertex_normal(const view::StateView<Real>& state, cons
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> smooth_normal(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                                         std::uint32_t triangle, const Vec3<Real>& weights) {
-  const Vec3<Real> own = unit<Real>(corners_of(state, contact, triangle).normal());
+  const Vec3<Real> own = unit<Real>(outer_corners_of(state, contact, triangle).normal());
   Vec3<Real> sum = Vec3<Real>::Zero();
   for (std::size_t corner = 0; corner < 3; ++corner) {
     const std::uint32_t vertex = contact.vertex_of_corner[std::size_t{3} * triangle + corner];
     Vec3<Real> around = Vec3<Real>::Zero();
     for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_end[vertex]; ++i) {
-      const Vec3<Real> area = corners_of(state, contact, contact.incidence[4 * i]).normal();
+      const Vec3<Real> area = outer_corners_of(state, contact, contact.incidence[4 * i]).normal();
       if (unit<Real>(area).dot(own) > Real(kSmoothCosine)) around += area;
     }
     sum += unit<Real>(around) * weights[static_cast<Eigen::Index>(corner)];
@@ -187,7 +187,7 @@ TM_HOST_DEVICE NearestPoints<Real> nearest_points(const view::StateView<Real>& s
   NearestPoints<Real> nearest;
   Real any = reach * reach, facing = any;  // any ≤ facing
   const auto consider = [&](std::uint32_t triangle) {
-    const Corners<Real> corners = corners_of(state, contact, triangle);
+    const Corners<Real> corners = outer_corners_of(state, contact, triangle);
     const auto closest = physics::closest_point_on_triangle(x, corners.x[0], corners.x[1], corners.x[2]);
     const Vec3<Real> way = x - corners.at(closest.weights);
     const Real squared = way.dot(way);
@@ -309,7 +309,8 @@ TM_HOST_DEVICE SurfacePoint<Real> passed_face(const view::StateView<Real>& state
     first = part;
     normal_in = normal;
     deepest = -gap - ahead;
-    found = {triangle, closest.feature, closest.weights, x - corners_of(state, contact, triangle).at(closest.weights)};
+    found = {triangle, closest.feature, closest.weights,
+             x - outer_corners_of(state, contact, triangle).at(closest.weights)};
   };
   const view::AxisBox<Real> near = ways.box_of(&row, 1, reach, 1);
   for_each_triangle(

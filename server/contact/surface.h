@@ -60,10 +60,19 @@ TM_HOST_DEVICE Corners<Real> at_corners(const view::ContactView<Real>& contact, 
   return out;
 }
 
+/// Returns the positions of the corners of a triangle.
 template <class Real>
 TM_HOST_DEVICE Corners<Real> corners_of(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                                         std::uint32_t triangle) {
   return at_corners<Real>(contact, triangle, [&](std::uint32_t row) { return view::position(state, row); });
+}
+
+/// Does the same for a triangle that no element carries, without asking.
+template <class Real>
+TM_HOST_DEVICE Corners<Real> outer_corners_of(const view::StateView<Real>& state,
+                                              const view::ContactView<Real>& contact, std::uint32_t triangle) {
+  const std::uint32_t* rows = contact.triangle_rows + std::size_t{3} * triangle;
+  return {{view::position(state, rows[0]), view::position(state, rows[1]), view::position(state, rows[2])}};
 }
 
 /// Calls body(triangle) for the triangles of the team's patch.
