@@ -18,8 +18,8 @@
 ///         is a lower bound of that, because only the mass m and the element behind the triangle (E s) resist.
 ///   h     the step
 ///
-/// A force that is kept counts in the depth already. Newton's method decides contacts again in each of its iterations,
-/// so N counts in the first one only.
+/// Newton's method decides contacts again in each of its iterations, where N is not what holds the point back. Across a
+/// gap, the line of a contact (line.h) and its load in tilt (tilt.h) are those of the depth at which it pressed.
 namespace tensormass::contact {
 
 /// A point of a triangle that touches a tool.
