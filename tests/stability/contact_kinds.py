@@ -303,7 +303,7 @@ def _carried(server: tm.Server, case: Case) -> Iterator[tuple[str, float, float]
             if t > 2.9:
                 slip.append(handle.positions("body").mean(axis=0) - at)
         load_n = -handle.feedback("grasper").force_n[2]
-    yield "m that the block slips", float(np.abs(np.array(slip) - slip[0]).max()), 1e-3
+    yield "m that the block slips", float(np.abs(np.array(slip) - slip[0]).max()), size_m / 10
     yield "load off its weight", abs(load_n / (mass_kg * G_M_PER_S2) - 1), 0.01
 
 
