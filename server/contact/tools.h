@@ -203,7 +203,7 @@ TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
   Touch<Real> deepest;
   Real place = 0;
   const Real kept_m = last.depth_m;
-  if (last.pressed_n > 0) deepest.depth_m = -tool.radius_m;
+  if (last.pressed_n > 0) deepest.depth_m = -(kept_m > 0 ? Real(1) : Real(kWidestGap)) * tool.radius_m;
   const auto consider = [&](const Vec3<Real>& candidate, const physics::CorePoint<Real>& core) {
     const Vec3<Real> away = corners.at(candidate) - core.position;
     const Real distance = sqrt(away.dot(away));
@@ -220,8 +220,9 @@ TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
                                                            : Vec3<Real>(-unit<Real>(corners.normal()));
   };
   Kind::for_each_candidate(tool, corners.x[0], corners.x[1], corners.x[2], consider);
-  // Across a gap only what faces the tool acts: the tool may have gone through the rest.
-  if (!(deepest.depth_m > 0 || deepest.normal.dot(corners.normal()) < 0)) return {};
+  // Across a gap: the tool has gone through what is turned away from it.
+  const Vec3<Real> facing = unit<Real>(corners.normal());
+  if (!(deepest.depth_m > 0 || deepest.normal.dot(facing) < Real(0.5))) return {};
   if constexpr (Kind::kCorePoints > 1) {
     // Across a gap the line is that of the depth at which the contact pressed.
     const Real across = deepest.depth_m > 0 ? Real(0) : last.loaded_m - deepest.depth_m;
@@ -312,7 +313,7 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     Real loaded_m = touch.depth_m;
     if (!(touch.depth_m > 0)) {
       const Remembered<Real> last = remembered(state, contact, tool, point, triangle);
-      if (!closes(state, contact, tool, triangle, touch, last.pressed_n)) return;
+      if (!closes(state, contact, triangle, touch, last.pressed_n)) return;
       loaded_m = last.loaded_m / touch.share;
     }
     for (int c = 0; c < 3; ++c) {

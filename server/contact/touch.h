@@ -22,9 +22,9 @@
 /// gap, the line of a contact (line.h) and its load in tilt (tilt.h) are those of the depth at which it pressed.
 namespace tensormass::contact {
 
-/// The furthest that tissue is taken to recoil in a step, in radii. Tissue that is squeezed flat is stiffer than E s
-/// says, and a contact that does not close pulls.
-inline constexpr double kFurthestRecoil = 0.25;
+/// The widest gap across which a thin tool touches by a penalty, in radii. A fast tool that leaves a wider one behind
+/// may have gone through the tissue.
+inline constexpr double kWidestGap = 0.25;
 
 /// A point of a triangle that touches a tool.
 template <class Real>
@@ -109,14 +109,12 @@ TM_HOST_DEVICE Real element_stiffness(const view::ContactView<Real>& contact, st
 /// pressed_n: N
 template <class Real>
 TM_HOST_DEVICE bool closes(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                           const physics::PlacedTool<Real>& tool, std::uint32_t triangle, const Touch<Real>& touch,
-                           Real pressed_n) {
+                           std::uint32_t triangle, const Touch<Real>& touch, Real pressed_n) {
   if (!(touch.share > 0) || touch.normal.dot(touch.normal) == 0) return false;
   Real back = 0;
   if (pressed_n > 0 && state.iterates == 0) {
     const Real inertial = inertial_stiffness(state, contact, triangle, touch.weights);
     back = pressed_n / (inertial + element_stiffness(contact, triangle));
-    back = minimum(back, Real(kFurthestRecoil) * tool.radius_m);
   }
   return touch.depth_m + back > touch.normal.dot(motion_ahead(state, contact, triangle).at(touch.weights));
 }

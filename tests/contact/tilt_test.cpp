@@ -33,7 +33,7 @@ view::TriangleContact<double> touch_of(const Corners<double>& corners) {
   const Vec3<double> weights = closest(corners).weights, point = corners.at(weights);
   touch.stiffness = kStiffness;
   touch.lever_m = point.norm();
-  touch.depth_m = kRadiusM - point.norm();
+  touch.depth_m = touch.loaded_m = kRadiusM - point.norm();
   for (int c = 0; c < 3; ++c) {
     touch.weight[c] = weights[c];
     touch.normal[c] = point[c] / point.norm();
