@@ -40,8 +40,8 @@ const BURNT_STEP = 400;
 const DRAWN_BACK_M = -0.105;
 /** Step of `cut` in which its hand draws the edge through the organ. */
 const CUT_STEP = 300;
-/** Step of `resect` in which its grasper has carried the piece away from the lobe. */
-const CARRIED_STEP = 570;
+/** Step of `resect` in which its grasper lets the piece go on the tray. */
+const PUT_DOWN_STEP = 720;
 /** Step of `snip` in which its scissors leave the lobe whose tip they took. */
 const SNIPPED_STEP = 375;
 const LONGEST_WAIT_S = 180;
@@ -221,12 +221,12 @@ async function takeSnip() {
   });
 }
 
-/** The piece that the scissors of `resect` took off, in the grasper. */
+/** The piece that the scissors of `resect` took off, on the tray. */
 async function takeResect() {
   await withScene("resect", async (url) => {
     const page = await open(url, WIDE);
     await hideReadings(page);
-    await page.waitForFunction((step) => window.tensormass.state().step >= step, CARRIED_STEP, { polling: POLLING_MS });
+    await page.waitForFunction((step) => window.tensormass.state().step >= step, PUT_DOWN_STEP, { polling: POLLING_MS });
     await save(page, "resect");
   });
 }
