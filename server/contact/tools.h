@@ -220,12 +220,11 @@ TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
                                                            : Vec3<Real>(-unit<Real>(corners.normal()));
   };
   Kind::for_each_candidate(tool, corners.x[0], corners.x[1], corners.x[2], consider);
-  // Across a gap: the tool has gone through what is turned away from it.
-  const Vec3<Real> facing = unit<Real>(corners.normal());
-  if (!(deepest.depth_m > 0 || deepest.normal.dot(facing) < Real(0.5))) return {};
+  const bool has_gap = last.pressed_n > 0 && !(deepest.depth_m > 0);
+  if (has_gap && !(deepest.normal.dot(unit<Real>(corners.normal())) < Real(kTurnedAway))) return {};
   if constexpr (Kind::kCorePoints > 1) {
     // Across a gap the line is that of the depth at which the contact pressed.
-    const Real across = deepest.depth_m > 0 ? Real(0) : last.loaded_m - deepest.depth_m;
+    const Real across = has_gap ? last.loaded_m - deepest.depth_m : Real(0);
     if (deepest.depth_m + across > 0 && deepest.lever_m > 0) {
       deepest.depth_m += across;
       Touch<Real> out = along_line<Kind>(tool, corners, deepest, place, Real(kept_m + across), ahead);

@@ -25,6 +25,9 @@ namespace tensormass::contact {
 /// The widest gap across which a thin tool touches by a penalty, in radii. A fast tool that leaves a wider one behind
 /// may have gone through the tissue.
 inline constexpr double kWidestGap = 0.25;
+/// Cosine of the angle between the direction in which a thin tool pushes and the outward normal from which a triangle
+/// is turned away. Across a gap the tool has gone through such a triangle.
+inline constexpr double kTurnedAway = 0.5;
 
 /// A point of a triangle that touches a tool.
 template <class Real>
