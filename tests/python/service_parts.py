@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
 import pytest
 
 import tensormass as tm
 from tensormass._shared import processes
+from tensormass_tools.cli import main
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -40,3 +46,56 @@ accepted_findings:
 
 def block() -> tm.Scene:
     return tm.Scene.from_yaml(BLOCK)
+
+
+def change_from_two_clients(
+    server: tm.Server, scene: tm.SceneHandle, change: Callable[[tm.SceneHandle], object]
+) -> None:
+    """Lets two clients change the scene at the same time, four times each. A change may be refused.
+
+    Args:
+        change: changes the scene, and changes it back.
+    """
+
+    def work() -> None:
+        with tm.connect(server.address) as client:
+            for _ in range(4):
+                with contextlib.suppress(tm.AlreadyExistsError, tm.NotFoundError, tm.ResourceExhaustedError):
+                    change(client.scene(scene.name))
+
+    threads = [threading.Thread(target=work) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+
+def record_changes(
+    server: tm.Server, scene: tm.SceneHandle, text: str, folder: Path, change: Callable[[tm.SceneHandle], object]
+) -> Path:
+    """Records three seconds in which another client changes the scene again and again. Checks that a replay agrees.
+
+    Args:
+        text: the scene's file.
+        change: changes the scene, and changes it back.
+    """
+    scene_file, path = folder / "scene.yaml", folder / "changes.mcap"
+    scene_file.write_text(text)
+    ends = threading.Event()
+
+    def work() -> None:
+        with tm.connect(server.address) as client:
+            other = client.scene(scene.name)
+            while not ends.is_set():
+                change(other)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        arguments = ["record", str(scene_file), "--attach", scene.name, "--server", server.address, "--frames"]
+        assert main([*arguments, "-o", str(path), "--seconds", "3", "--check-every", "20"]) == 0
+    finally:
+        ends.set()
+        thread.join()
+    assert main(["replay", str(path)]) == 0
+    return path

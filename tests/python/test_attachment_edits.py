@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from daemon_parts import small_daemon
-from service_parts import DEADLINE_S
+from service_parts import DEADLINE_S, change_from_two_clients, record_changes
 
 import tensormass as tm
 from tensormass._src.streams import Transport
 from tensormass.v1 import stream_pb2
-from tensormass_tools.cli import main
 
 #: A block that hangs from springs of 200 N/m below another one that is fixed; 0.108 kg.
 SCENE = """
@@ -155,22 +153,12 @@ def test_streams_follow(server: tm.Server, transport: Transport) -> None:
 def test_clients_at_the_same_time(server: tm.Server) -> None:
     """Each call is done as a whole, or refused."""
     with server.load(scene_of()) as scene:
-        refused: list[str] = []
 
-        def work() -> None:
-            with tm.connect(server.address) as client:
-                for _ in range(4):
-                    try:
-                        clip(client.scene("clipped"))
-                        client.scene("clipped").detach("clip")
-                    except (tm.AlreadyExistsError, tm.NotFoundError, tm.ResourceExhaustedError) as error:
-                        refused.append(str(error))
+        def change(other: tm.SceneHandle) -> None:
+            clip(other)
+            other.detach("clip")
 
-        threads = [threading.Thread(target=work) for _ in range(2)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        change_from_two_clients(server, scene, change)
         assert set(names(scene)) <= {"ligament", "clip"}
         assert scene.status().state == stream_pb2.SceneStatus.STATE_RUNNING
 
@@ -187,28 +175,13 @@ def test_a_snapshot_needs_its_attachments(server: tm.Server) -> None:
 
 
 def test_a_recording_is_repeated_and_shown(server: tm.Server, tmp_path: Path) -> None:
-    scene_file, path = tmp_path / "clipped.yaml", tmp_path / "clips.mcap"
-    scene_file.write_text(SCENE)
+    def change(other: tm.SceneHandle) -> None:
+        clip(other)
+        time.sleep(0.2)
+        other.detach("clip")
+
     with server.load(scene_of()) as scene:
-        ends = threading.Event()
-
-        def work() -> None:
-            with tm.connect(server.address) as client:
-                other = client.scene("clipped")
-                while not ends.is_set():
-                    clip(other)
-                    time.sleep(0.2)
-                    other.detach("clip")
-
-        thread = threading.Thread(target=work)
-        thread.start()
-        try:
-            arguments = ["record", str(scene_file), "--attach", scene.name, "--server", server.address, "--frames"]
-            assert main([*arguments, "-o", str(path), "--seconds", "3", "--check-every", "20"]) == 0
-        finally:
-            ends.set()
-            thread.join()
-    assert main(["replay", str(path)]) == 0
+        path = record_changes(server, scene, SCENE, tmp_path, change)
     from tensormass_tools.recording.index import RecordingIndex
 
     index = RecordingIndex(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,12 +9,11 @@ from typing import Any
 
 import pytest
 from daemon_parts import small_daemon
-from service_parts import BLOCK, DEADLINE_S, block
+from service_parts import BLOCK, DEADLINE_S, block, change_from_two_clients, record_changes
 
 import tensormass as tm
 from tensormass._src.streams import Transport
 from tensormass.v1 import stream_pb2
-from tensormass_tools.cli import main
 
 HOOK: dict[str, Any] = {"position_m": (0.02, 0.02, 0.09), "radius_m": 0.01}
 TRANSPORTS: tuple[Transport, ...] = ("zeromq", "zenoh")
@@ -152,50 +150,25 @@ def test_findings_of_a_tool_inside_tissue(server: tm.Server) -> None:
 def test_clients_at_the_same_time(server: tm.Server) -> None:
     """Each call is done as a whole, or refused."""
     with server.load(block()) as scene:
-        refused: list[str] = []
 
-        def work(seed: int) -> None:
-            with tm.connect(server.address) as client:
-                for i in range(4):
-                    try:
-                        client.scene("block").add_tool("hook", "spherical_probe", **HOOK)
-                        client.scene("block").remove_tool("hook")
-                    except (tm.AlreadyExistsError, tm.NotFoundError, tm.ResourceExhaustedError) as error:
-                        refused.append(f"{seed} {i} {error}")
+        def change(other: tm.SceneHandle) -> None:
+            other.add_tool("hook", "spherical_probe", **HOOK)
+            other.remove_tool("hook")
 
-        threads = [threading.Thread(target=work, args=(seed,)) for seed in range(2)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        change_from_two_clients(server, scene, change)
         assert set(names(scene)) <= {"probe", "hook"}
         assert scene.status().state == stream_pb2.SceneStatus.STATE_RUNNING
 
 
 def test_a_recording_is_repeated_and_shown(server: tm.Server, tmp_path: Path) -> None:
-    scene_file, path = tmp_path / "block.yaml", tmp_path / "tools.mcap"
-    scene_file.write_text(BLOCK)
+    def change(other: tm.SceneHandle) -> None:
+        other.add_tool("hook", "spherical_probe", **HOOK)
+        other.move_tool("hook", (0.02, 0.02, 0.055))
+        time.sleep(0.2)
+        other.remove_tool("hook")
+
     with server.load(block()) as scene:
-        ends = threading.Event()
-
-        def work() -> None:
-            with tm.connect(server.address) as client:
-                other = client.scene("block")
-                while not ends.is_set():
-                    other.add_tool("hook", "spherical_probe", **HOOK)
-                    other.move_tool("hook", (0.02, 0.02, 0.055))
-                    time.sleep(0.2)
-                    other.remove_tool("hook")
-
-        thread = threading.Thread(target=work)
-        thread.start()
-        try:
-            arguments = ["record", str(scene_file), "--attach", scene.name, "--server", server.address, "--frames"]
-            assert main([*arguments, "-o", str(path), "--seconds", "3", "--check-every", "20"]) == 0
-        finally:
-            ends.set()
-            thread.join()
-    assert main(["replay", str(path)]) == 0
+        path = record_changes(server, scene, BLOCK, tmp_path, change)
     from tensormass_tools.recording.index import RecordingIndex
 
     index = RecordingIndex(path)
