@@ -28,20 +28,24 @@ TM_HOST_DEVICE bool is_carried(const view::ContactView<Real>& contact, std::uint
 /// The rows whose motion a triangle follows: those of its three corners, or the four of the element that carries it.
 template <class Real>
 struct TriangleRows {
+  const bool carried;  // false: corner k is row k
   const std::uint32_t* rows;
-  const Real* weights;  // view::CarriedView::weights; nullptr: corner k is row k
+  const Real* weights;  // view::CarriedView::weights; not used of a triangle that no element carries
 
+  /// Of that triangle, too, `weights` can be read: in double precision nvcc 13 reads ahead of `carried`.
   TM_HOST_DEVICE TriangleRows(const view::ContactView<Real>& contact, std::uint32_t triangle)
-      : rows(contact.triangle_rows + std::size_t{3} * triangle), weights(nullptr) {
-    if (!is_carried(contact, triangle)) return;
+      : carried(is_carried(contact, triangle)),
+        rows(contact.triangle_rows + std::size_t{3} * triangle),
+        weights(contact.carried.weights) {
+    if (!carried) return;
     const std::size_t place = triangle - contact.carried.first;
     rows = contact.carried.rows + 4 * place;
-    weights = contact.carried.weights + 12 * place;
+    weights += 12 * place;
   }
-  TM_HOST_DEVICE std::uint32_t count() const { return weights == nullptr ? 3 : 4; }
+  TM_HOST_DEVICE std::uint32_t count() const { return carried ? 4 : 3; }
   /// Returns the share of the k-th row in a sum over the corners.
   TM_HOST_DEVICE Real share(std::uint32_t k, const Vec3<Real>& of_corners) const {
-    if (weights == nullptr) return of_corners[static_cast<Eigen::Index>(k)];
+    if (!carried) return of_corners[static_cast<Eigen::Index>(k)];
     return weights[k] * of_corners[0] + weights[4 + k] * of_corners[1] + weights[8 + k] * of_corners[2];
   }
 };
@@ -51,7 +55,7 @@ template <class Real, class OfRow>
 TM_HOST_DEVICE Corners<Real> at_corners(const view::ContactView<Real>& contact, std::uint32_t triangle,
                                         const OfRow& of_row) {
   const TriangleRows<Real> of(contact, triangle);
-  if (of.weights == nullptr) return {{of_row(of.rows[0]), of_row(of.rows[1]), of_row(of.rows[2])}};
+  if (!of.carried) return {{of_row(of.rows[0]), of_row(of.rows[1]), of_row(of.rows[2])}};
   Corners<Real> out{{Vec3<Real>::Zero(), Vec3<Real>::Zero(), Vec3<Real>::Zero()}};
   for (std::uint32_t k = 0; k < 4; ++k) {
     const Vec3<Real> v = of_row(of.rows[k]);
@@ -186,7 +190,7 @@ struct ContactPoint {
   TM_HOST_DEVICE Vec3<Real> motion_in_step() const {
     Vec3<Real> sum = Vec3<Real>::Zero();
     const TriangleRows<Real> of(contact, triangle);
-    if (of.weights != nullptr) {
+    if (of.carried) {
       for (std::uint32_t k = 0; k < 4; ++k) sum += view::motion_to_end(state, of.rows[k]) * of.share(k, weights());
       return sum;
     }

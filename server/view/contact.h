@@ -55,8 +55,8 @@ struct ToolLoad {
 };
 
 /// Triangles that elements carry: faces of cuts, and what cuts leave of outer triangles (contact/carried.h). Their
-/// corners are points of one linear tetrahedron, sums of its rows by weights. In a scene without cuts all pointers are
-/// nullptr.
+/// corners are points of one linear tetrahedron, sums of its rows by weights. In a scene without cuts all pointers but
+/// `weights` are nullptr.
 template <class Real>
 struct CarriedView {
   std::uint32_t first;  // the first of them: they come after the other triangles. ContactView::triangle_count: none
