@@ -68,6 +68,7 @@ struct StepInput {
   double loads_time_s = 0;  ///< time of the scene at which scheduled gravity, loads and pressure have their factors
   /// Share of gravity, loads, pressure and prescribed displacements without a schedule.
   double load_factor = 1;
+  bool evaluates_all = false;  ///< no element follows its last tangent (matrix/lagged_tangents.h)
   bool gather_visible = false;
 };
 

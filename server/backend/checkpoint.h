@@ -11,6 +11,29 @@
 /// The checkpoint of a scene: the state before a step that can be taken back.
 namespace tensormass::backend {
 
+/// Says which elements a step evaluates, if tangents lag (matrix/lagged_tangents.h).
+class TangentLag {
+ public:
+  /// What is kept no longer fits: values, cuts or the state are others. So the next step evaluates all elements.
+  void forget() { steps_ = 0; }
+  template <class Real>
+  void begin(const model::Model& m, const StepInput& input, view::StepControl<Real>& control) {
+    const bool fits = steps_ > 0 && steps_ < kStepsOfSums && projects_ == input.projects_stiffness;
+    // After all were evaluated turns begin anew, so that a run goes on alike from a snapshot.
+    steps_ = fits && !input.evaluates_all ? steps_ + 1 : 1;
+    control.refreshes_all = steps_ == 1 ? 1 : 0;
+    control.refresh_turn = steps_ % m.lag_steps;
+    projects_ = input.projects_stiffness;
+  }
+
+ private:
+  /// Steps after which sums over kept tensors start anew, before their rounding errors add up.
+  static constexpr std::uint32_t kStepsOfSums = 1024;
+
+  std::uint32_t steps_ = 0;  // since all elements were evaluated, that step included; 0: nothing is kept
+  bool projects_ = false;
+};
+
 /// Records the sequence of steps, and restores a state from its checkpoint. The same code serves every device.
 template <class Real>
 class Checkpoint {
@@ -24,6 +47,7 @@ class Checkpoint {
     view::StepControl<Real> control = control_of<Real>(m, input, past_);
     // A retry keeps the solution that belongs to the checkpoint, because the next retry starts from it.
     control.next_solution = 1 - checkpoint_.solution;
+    lag_.begin(m, input, control);
     return control;
   }
   /// Call after a step.
@@ -35,6 +59,7 @@ class Checkpoint {
   void start_anew(double internal_dt_s) {
     past_ = {.internal_dt_s = internal_dt_s};
     coarse_ = CoarseSwitch();
+    lag_.forget();
   }
   /// Call after a history was written from outside; see write_history.
   void go_on(const StepHistory& history) {
@@ -42,6 +67,7 @@ class Checkpoint {
     past_.largest_force_squared = history.largest_force_squared;
     past_.solution = 0;
     coarse_ = CoarseSwitch(history.coarse_solves);
+    lag_.forget();
   }
   /// Implements SceneState::restore.
   ///
@@ -70,6 +96,7 @@ class Checkpoint {
       }
     }
     restored_ = true;
+    lag_.forget();  // a step is made again because it failed, perhaps by its lag
     past_ = checkpoint_;
     past_.internal_dt_s = 0;
   }
@@ -94,11 +121,13 @@ class Checkpoint {
   /// A step that is taken back leaves it as it is: its retry has the same matrix.
   CoarseSwitch& coarse() { return coarse_; }
   const CoarseSwitch& coarse() const { return coarse_; }
+  TangentLag& lag() { return lag_; }
   double& largest_force_squared() { return past_.largest_force_squared; }
 
  private:
   StepRecord past_, checkpoint_;
   CoarseSwitch coarse_;
+  TangentLag lag_;
   bool restored_ = false;  // restored since the checkpoint was saved
 };
 

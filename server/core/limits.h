@@ -90,5 +90,6 @@ inline constexpr double kMaxPressurePa = 1e12;
 inline constexpr double kMaxFriction = 10;
 /// Newton iterations of one step.
 inline constexpr std::uint32_t kMaxNewtonIterations = 10'000;
+inline constexpr std::uint32_t kMaxTangentLagSteps = 64;
 
 }  // namespace tensormass::limits

@@ -2,11 +2,12 @@
 
 #include "matrix/edges.h"
 #include "matrix/element_points.h"
+#include "matrix/lagged_tangents.h"
 #include "matrix/row_system.h"
 
 /// Assembly of a matrix that stores edges (edges.h). One CPU thread assembles each patch:
 ///
-///   begin_edges ──> A = mass and constant tensors, b = inertia and the forces of the constant tensors
+///   begin_edges ──> A = mass, constant and kept tensors, b = inertia and the forces of these tensors
 ///   element_pass ─> for each group: A += h (β + h) K_kl, b += h (f − K (β v + d))
 ///
 /// row_system.h derives the terms of A and b and defines the symbols. Other stages add gravity, loads and contact.
@@ -27,9 +28,7 @@ void begin_edges(const Team& team, const view::PatchesView& patches, const view:
     if (newton.internal_force != nullptr) store3<Real>(newton.internal_force, row, Vec3<Real>::Zero());
   }
   if (!HasConstant && matrix.mass_edges == nullptr) {
-    const std::size_t begin = std::size_t{matrix.slice_begin[patch.row_begin / kEdgeSliceRows]} * kEdgeSliceRows;
-    const std::size_t end = std::size_t{matrix.slice_begin[patch.row_end / kEdgeSliceRows]} * kEdgeSliceRows;
-    std::memset(matrix.edges + edge_begin(begin), 0, (edge_begin(end) - edge_begin(begin)) * sizeof(Real));
+    if (matrix.kept_edges == nullptr) clear_edges(matrix, patch, matrix.edges);
     return;
   }
   for_each_edge(matrix, patch, [&](std::size_t slot, std::uint32_t local, std::uint32_t column, bool both) {
@@ -66,7 +65,7 @@ void begin_edges(const Team& team, const view::PatchesView& patches, const view:
   });
 }
 
-/// Writes that part with or without constant tensors, as the scene has them.
+/// Writes that part with or without constant tensors, as the scene has them, and adds the kept tensors.
 template <class Team, class Real>
 void begin_edges(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                  const view::MatrixView<Real>& matrix, const view::NewtonView<Real>& newton) {
@@ -75,11 +74,20 @@ void begin_edges(const Team& team, const view::PatchesView& patches, const view:
   } else {
     begin_edges<false>(team, patches, state, matrix, newton);
   }
+  if (matrix.kept_edges == nullptr) return;
+  using Lanes = typename Team::template Lanes<Real>;
+  const Patch patch = patch_of(patches, team.patch());
+  if (matrix.constant_edges == nullptr && matrix.mass_edges == nullptr) {
+    add_kept<Lanes, false>(patches, state, matrix, patch);
+  } else {
+    add_kept<Lanes, true>(patches, state, matrix, patch);
+  }
 }
 
-/// Evaluates the elements of a group that touch a patch and adds them to its rows and edges.
-/// Reads displacement, velocity, base fields, internal variables; adds to edges, diagonal, rhs, internal_force; writes
-/// internal variables.
+/// Evaluates the elements of a group that touch a patch and adds them to its rows and edges. Of a group with lagged
+/// tangents it evaluates those that are due, before begin_edges, and changes what is kept of them.
+/// Reads displacement, velocity, base fields, internal variables, kept tensors; adds to edges, diagonal, rhs,
+/// internal_force; writes internal variables, kept tensors.
 template <class Shape, class Law, class Team, class Real>
 TM_FLATTEN void element_pass(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                              const view::MatrixView<Real>& matrix, const view::NewtonView<Real>& newton,
@@ -90,10 +98,17 @@ TM_FLATTEN void element_pass(const Team& team, const view::PatchesView& patches,
   const Patch patch = patch_of(patches, team.patch());
   const Real internal_dt_s = internal_step(state, newton);
   const physics::Stiffness kind = stiffness_kind(state, newton);
+  const bool lags = e.kept != nullptr;
+  if (lags && e.begins_kept != 0 && state.control->refreshes_all != 0) clear_kept(matrix, patch);
   team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
-    prefetch_elements<Lanes, Shape>(matrix, e, first);
+    if (!lags) prefetch_elements<Lanes, Shape>(matrix, e, first);
     Vec3<T> u[Shape::kNodes];
     load_displacement<Lanes, Shape>(state, e, first, u);
+    T due(0);
+    if (lags) {
+      due = elements_due<Lanes, Shape>(state, matrix, e, first, u);
+      if (Lanes::largest(due) == 0) return;
+    }
     physics::ElementTensors<Shape, T> tensors;
     for_each_point<Lanes, Shape, Law>(
         e, first, u, [&](const auto& gradients, const auto& f, auto& point, std::uint32_t q) {
@@ -101,9 +116,12 @@ TM_FLATTEN void element_pass(const Team& team, const view::PatchesView& patches,
             physics::add_point<Shape, Law>(gradients, f, point, memory, kind, q == 0, tensors);
           });
         });
-    const std::uint32_t left = range.end - first;
-    add_to_edges<Lanes, Shape>(state, matrix, newton, e, patch, first, left < Lanes::kWidth ? left : Lanes::kWidth,
-                               tensors);
+    const std::uint32_t count = minimum(range.end - first, std::uint32_t{Lanes::kWidth});
+    if (lags) {
+      keep_tensors<Lanes, Shape>(state, matrix, e, patch, first, count, due, u, tensors);
+    } else {
+      add_to_edges<Lanes, Shape>(state, matrix, newton, e, patch, first, count, tensors);
+    }
   });
 }
 

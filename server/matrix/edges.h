@@ -78,6 +78,14 @@ void for_each_edge(const view::MatrixView<Real>& matrix, const Patch& patch, con
   }
 }
 
+/// Sets the blocks of a patch to zero, as they lie during assembly.
+template <class Real>
+void clear_edges(const view::MatrixView<Real>& matrix, const Patch& patch, Real* blocks) {
+  const std::size_t begin = std::size_t{matrix.slice_begin[patch.row_begin / kEdgeSliceRows]} * kEdgeSliceRows;
+  const std::size_t end = std::size_t{matrix.slice_begin[patch.row_end / kEdgeSliceRows]} * kEdgeSliceRows;
+  std::memset(blocks + edge_begin(begin), 0, (edge_begin(end) - edge_begin(begin)) * sizeof(Real));
+}
+
 namespace detail {
 
 /// Adds the first eight components of a block, or of its transpose, to `to`, row by row. It has no branch: whether a

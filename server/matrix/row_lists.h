@@ -44,7 +44,7 @@ struct GroupRowLists {
 
 /// Makes the lists of all groups.
 ///
-/// groups:   those whose tensors are computed in each step, in the order of their evaluation.
+/// groups:   those whose tensors are summed, in the order in which that is done.
 /// finishes: true if no other tensors exist. The last group at a slice then forms its rows of A and b.
 GroupRowLists make_row_lists(const Layout& layout, std::span<const ElementRows> groups, bool finishes);
 

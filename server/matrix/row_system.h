@@ -28,7 +28,8 @@
 /// 2. In a later Newton iteration d = 0, and b is the residual.
 /// 3. A rigid translation causes no force, so the diagonal tensor is K_kk = −Σ K_kl over the row's edges. Only edge
 ///    tensors are summed, and K d of a row is the sum of K_kl (d_l − d_k).
-/// 4. Edge tensors of linear laws are constant and stored. The others are *refreshed*: evaluated in each step.
+/// 4. Edge tensors of linear laws are constant and stored. The others are *refreshed*: evaluated in each step, or kept
+///    for some steps (lagged_tangents.h).
 namespace tensormass::matrix {
 
 using namespace view;
@@ -74,6 +75,7 @@ struct RowSums {
 };
 
 /// Forms one row of A and b from the edge tensors K_kl of its slots.
+/// HasConstant: there are constant tensors, or kept ones.
 template <bool HasConstant, class Real>
 class RowAssembly {
  public:
@@ -98,8 +100,9 @@ class RowAssembly {
   struct Neighbour {
     std::uint32_t row;
     Vec3<Real> ahead;     // stretch_ahead of that row
-    Vec3<Real> stretch;   // u_l − u_k; set only with constant tensors
-    Mat3<Real> constant;  // K_kl of linear laws; set only with constant tensors
+    // Set only with constant or kept tensors:
+    Vec3<Real> stretch;   // u_l − u_k
+    Mat3<Real> constant;  // K_kl of linear laws, and that of lagged tangents
   };
   TM_HOST_DEVICE Neighbour neighbour(std::size_t slot) const {
     Neighbour out;
@@ -107,7 +110,12 @@ class RowAssembly {
     out.ahead = terms_.stretch_ahead(out.row);
     if constexpr (HasConstant) {
       out.stretch = load3<Real>(state_.displacement, out.row) - displacement_;
-      out.constant = load_block_once(matrix_.constant_edges, slot);
+      if (matrix_.constant_edges != nullptr) {
+        out.constant = load_block_once(matrix_.constant_edges, slot);
+        if (matrix_.kept_edges != nullptr) out.constant += load_block_once(matrix_.kept_edges, slot);
+      } else {
+        out.constant = load_block_once(matrix_.kept_edges, slot);
+      }
     }
     return out;
   }

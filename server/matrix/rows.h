@@ -292,9 +292,9 @@ TM_HOST_DEVICE void assemble_row(const view::PatchesView& patches, const view::S
   }
 }
 
-/// Forms the rows of A and b in scenes with linear laws, after all element passes. In other scenes the last group does
-/// it.
-/// Reads constant tensors, displacement, velocity, base fields, external, and edges and rhs of begun rows; writes
+/// Forms the rows of A and b in scenes with linear laws or lagged tangents, after all element passes. In other scenes the
+/// last group does it.
+/// Reads constant and kept tensors, displacement, velocity, base fields, external, and edges and rhs of begun rows; writes
 /// edges, diagonal, rhs, internal_force.
 template <class Team, class Real>
 TM_HOST_DEVICE void finish_rows(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
@@ -305,7 +305,9 @@ TM_HOST_DEVICE void finish_rows(const Team& team, const view::PatchesView& patch
     const RowAssembly<true, Real> assembly(patches, state, matrix, newton, patch, row);
     RowSums<Real> sums;
     if (begun) sums.force = load3<Real>(matrix.rhs, row);
+    if (matrix.kept_force != nullptr) sums.force += load3<Real>(matrix.kept_force, row);
     const std::uint32_t slice = row / kSliceRows;
+    if (matrix.kept_touched != nullptr && row % kSliceRows == 0) matrix.kept_touched[slice] = 0;  // gathered by now
     const auto slot_of = [lane = row % kSliceRows](std::uint32_t column) {
       return std::size_t{column} * kSliceRows + lane;
     };

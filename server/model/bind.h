@@ -7,6 +7,7 @@
 
 #include "core/assert.h"
 #include "core/parallel.h"
+#include "matrix/lagged_tangents.h"
 #include "model/edit_buffers.h"
 #include "model/model.h"
 #include "physics/lists.h"
@@ -191,6 +192,14 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.guard.tetrahedron_rows = place_buffer<EditBuffer::kCheckedTetrahedra, Real>(m, arena, bound.buffers);
 
   s.matrix.edges = arena.template zeros<Real>("matrix", 9 * std::size_t{layout.slot_count()});
+  const bool lags = m.lags();
+  s.matrix.lag_strain = static_cast<Real>(m.lag_strain);
+  s.matrix.kept_edges = arena.template zeros<Real>("kept tensors", only_if(lags, 9 * std::size_t{layout.slot_count()}));
+  s.matrix.kept_diagonal = arena.template zeros<Real>("kept diagonal", only_if(lags && edges, 8 * rows));
+  s.matrix.kept_force = arena.template zeros<Real>("kept forces", only_if(lags, 4 * rows));
+  s.matrix.kept_ahead = arena.template zeros<Real>("moves ahead of kept tensors", only_if(lags && edges, 4 * local));
+  s.matrix.kept_touched =
+      arena.template zeros<uint32_t>("slices with new tensors", only_if(lags && !edges, rows / view::kSliceRows));
   s.matrix.diagonal = arena.template zeros<Real>("matrix diagonal", 8 * rows);
   s.matrix.rhs = arena.template zeros<Real>("right-hand side", 4 * rows);
   s.solve.solution = arena.template zeros<Real>("solution", 4 * rows);
@@ -394,6 +403,21 @@ void write_records(const ElementGroup& group, Real* to) {
   });
 }
 
+/// Returns the turn of each element (matrix/lagged_tangents.h), which is that of the slice with its first node: an edit
+/// that takes the element's material away leaves that node. By edges, slices take turns one after the other, so that
+/// every patch has elements in each step. By rows, neighbouring slices take theirs together: the tensors of few slices
+/// are then summed anew.
+inline std::vector<std::uint32_t> turns_of(const Model& m, const ElementGroup& group) {
+  std::vector<std::uint32_t> out(group.rows.begin(), group.rows.begin() + group.stride);
+  const std::uint64_t slices = m.layout.row_count / view::kSliceRows;
+  const bool edges = m.layout.storage == matrix::Storage::kEdges;
+  for (std::uint32_t& turn : out) {
+    const std::uint64_t slice = turn / view::kSliceRows;
+    turn = static_cast<std::uint32_t>(edges ? slice % m.lag_steps : slice * m.lag_steps / slices);
+  }
+  return out;
+}
+
 /// Allocates the buffers of one group. buffers: where those are that edits change; may be null.
 template <class Real, class Arena>
 view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& arena,
@@ -426,7 +450,7 @@ view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& are
     placed.records = arena.template generated<Real>("element records", std::size_t{group.stride} * e.record_reals,
                                                     [&](Real* to) { write_records(group, to); });
     e.records = placed.records;
-    const bool decomposes = physics::decomposes(group.law) && !group.is_constant;
+    const bool decomposes = physics::decomposes(group.law) && !group.is_constant && !m.lags(group);
     e.decompositions = arena.template zeros<Real>(
         "decompositions", decomposes ? std::size_t{e.count} * e.point_count * view::kDecompositionReals : 0);
     TM_ASSERT(is_aligned(e.records) && is_aligned(e.decompositions), "four reals of a record are read at once");
@@ -444,6 +468,16 @@ view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& are
     e.prony[i] = {static_cast<Real>(group.prony[i].share), static_cast<Real>(group.prony[i].relaxation_time_s)};
   }
   e.patch_elements = arena.template constant<std::uint32_t>("elements of patches", group.patch_elements);
+  if (m.lags(group)) {
+    const auto is_lagged = [&m](const ElementGroup& one) { return m.lags(one); };
+    e.begins_kept = &group == &*std::find_if(m.groups.begin(), m.groups.end(), is_lagged) ? 1 : 0;
+    physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
+      if (index != group.shape) return;
+      constexpr std::size_t kReals = matrix::kKeptReals<typename decltype(shape)::Type>;
+      e.kept = arena.template zeros<Real>("kept tensors of elements", group.stride * kReals);
+    });
+    e.turns = arena.template constant<std::uint32_t>("turns of elements", turns_of(m, group));
+  }
   e.pair_places = arena.template constant<std::uint32_t>("element places", group.pair_places);
   e.internal_variables = arena.template zeros<Real>("viscoelastic internal variables", group.internal_variable_reals());
   e.checkpoint_internal_variables =

@@ -190,7 +190,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kElements));
   TM_ASSIGN_OR_RETURN(elements, group_elements(bodies, clusters.clusters, model.layout));
   TM_RETURN_IF_ERROR(check_integrator(model, elements.groups));
-  TM_ASSIGN_OR_RETURN(lists, list_elements_of_rows(model.layout, elements));
+  TM_ASSIGN_OR_RETURN(lists, list_elements_of_rows(model, model.layout, elements));
   values.groups = std::move(elements.sources);
   values.linear = std::move(elements.linear);
   for (const ReadBody& body : bodies.bodies) {

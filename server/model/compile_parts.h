@@ -87,9 +87,10 @@ struct GroupedElements {
 Result<GroupedElements> group_elements(const ReadBodies& bodies, std::span<const Cluster> clusters,
                                        const matrix::Layout& layout);
 
-/// Storage::kRows, kTiles: lists the elements that each row evaluates, for the groups whose tensors are computed in
-/// each step. Empty with kEdges, where elements add to the matrix directly. Fails if a node has too many neighbours.
-Result<matrix::GroupRowLists> list_elements_of_rows(const matrix::Layout& layout, const GroupedElements& elements);
+/// Storage::kRows, kTiles: lists the elements that each row evaluates, for the groups whose tensors change: to
+/// compute them, or to gather those that are kept. Empty with kEdges, where elements add to the matrix directly. Fails if a node has too many neighbours.
+Result<matrix::GroupRowLists> list_elements_of_rows(const Settings& settings, const matrix::Layout& layout,
+                                                    const GroupedElements& elements);
 
 /// Who runs the solve, where its vectors are stored, and which volumes it checks at its end.
 struct SolveChoice {

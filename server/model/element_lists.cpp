@@ -16,7 +16,8 @@ matrix::ElementRows rows_of(const ElementGroup& group) {
 
 }  // namespace
 
-Result<matrix::GroupRowLists> list_elements_of_rows(const matrix::Layout& layout, const GroupedElements& elements) {
+Result<matrix::GroupRowLists> list_elements_of_rows(const Settings& settings, const matrix::Layout& layout,
+                                                    const GroupedElements& elements) {
   if (layout.storage == matrix::Storage::kEdges) return matrix::GroupRowLists{};  // elements add to the matrix directly
   if (const std::uint32_t widest = layout.widest_slice(); widest >= matrix::own_place(16)) {
     return fail(ErrorCode::kResourceExhausted,
@@ -24,11 +25,22 @@ Result<matrix::GroupRowLists> list_elements_of_rows(const matrix::Layout& layout
                             "split the elements around it",
                             widest, matrix::own_place(16)));
   }
-  std::vector<matrix::ElementRows> rows;  // [group] only the first groups compute tensors in each step
+  std::vector<matrix::ElementRows> rows, lagged;  // of the groups that are not constant, which are the first ones
+  std::vector<bool> lags;                         // [group] of these
   for (const ElementGroup& group : elements.groups) {
-    if (!group.is_constant) rows.push_back(rows_of(group));
+    if (group.is_constant) continue;
+    lags.push_back(lags_of(settings, group));
+    (lags.back() ? lagged : rows).push_back(rows_of(group));
   }
-  return matrix::make_row_lists(layout, rows, elements.constant_edges.empty());
+  matrix::GroupRowLists out = matrix::make_row_lists(layout, rows, elements.constant_edges.empty() && lagged.empty());
+  if (lagged.empty()) return out;
+  // Lists of their own: what is summed over them is kept, and no part of the other groups' sums.
+  matrix::GroupRowLists kept = matrix::make_row_lists(layout, lagged, false);
+  std::vector<matrix::RowLists> all;
+  std::size_t next = 0, next_kept = 0;
+  for (const bool of_kept : lags) all.push_back(std::move(of_kept ? kept.groups[next_kept++] : out.groups[next++]));
+  out.groups = std::move(all);
+  return out;
 }
 
 SolveChoice choose_solve(const Settings& settings, const ReadLinks& links, const matrix::Layout& layout,

@@ -275,6 +275,11 @@ struct CutCopy {
   std::uint32_t parent;  ///< the one it was split from: it starts with that one's state
 };
 
+/// Returns whether the elements of a group follow their last tangents (matrix/lagged_tangents.h).
+inline bool lags_of(const Settings& settings, const ElementGroup& group) {
+  return settings.asks_for_lag() && !group.is_constant && group.prony.empty();
+}
+
 /// A body as its scene describes it, after its mesh was admitted.
 struct AdmittedBody {
   std::string name;
@@ -474,6 +479,13 @@ struct Model : Settings {
   }
   /// Returns whether some tensors change in each step, so that elements are evaluated.
   bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant; }
+  /// Returns whether the elements of a group follow their last tangents (matrix/lagged_tangents.h).
+  bool lags(const ElementGroup& group) const {
+    return lags_of(*this, group);
+  }
+  bool lags() const {
+    return std::any_of(groups.begin(), groups.end(), [this](const ElementGroup& group) { return lags(group); });
+  }
   /// Returns the number of core points of all tools (physics/tool/tool.h).
   std::uint32_t core_points() const {
     return tools.empty() ? 0 : tools.back().first_core_point + tools.back().core_points;

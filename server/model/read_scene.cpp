@@ -18,6 +18,9 @@ namespace {
 /// Newton iterations of a quasi-static step, unless the scene says how many. A press by a box takes 11 to 106.
 constexpr std::uint32_t kEquilibriumIterations = 200;
 
+/// Change of F that ends a lagged tangent, unless the scene gives it.
+constexpr double kLagStrain = 0.02;
+
 Result<void> read_integrator(const v1::Solver& solver, Settings& out) {
   switch (solver.integrator()) {
     case v1::Solver::INTEGRATOR_UNSPECIFIED:
@@ -120,6 +123,26 @@ Result<void> read_on_fault(const v1::Scene& scene, Settings& out) {
   }
 }
 
+/// Reads lagged tangents. Needs the integrator and Newton's method.
+Result<void> read_lag(const v1::Solver& solver, Settings& out) {
+  if (!solver.has_tangent_lag_steps()) {
+    if (!solver.has_tangent_lag_strain()) return {};
+    return invalid("scene.solver.tangent_lag_strain: it says when a lagged tangent ends; give tangent_lag_steps too");
+  }
+  TM_ASSIGN_OR_RETURN(
+      steps, read_number(solver.tangent_lag_steps(), 1, limits::kMaxTangentLagSteps, "scene.solver.tangent_lag_steps"));
+  if (steps > 1 && out.iterates()) {
+    return invalid(
+        "scene.solver.tangent_lag_steps: Newton's method needs the forces of each iterate; leave it out, or "
+        "take newton_max_iterations: 1");
+  }
+  TM_ASSIGN_OR_RETURN(strain, read_number(solver.has_tangent_lag_strain() ? solver.tangent_lag_strain() : kLagStrain,
+                                          1e-6, 1, "scene.solver.tangent_lag_strain"));
+  out.lag_steps = static_cast<std::uint32_t>(steps);
+  out.lag_strain = strain;
+  return {};
+}
+
 Result<void> read_solver(const v1::Solver& solver, Settings& out) {
   switch (solver.precision()) {
     case v1::Solver::PRECISION_UNSPECIFIED:
@@ -146,6 +169,7 @@ Result<void> read_solver(const v1::Solver& solver, Settings& out) {
                                              0, 0.5, "scene.solver.cg_tolerance"));
   out.cg_tolerance = tolerance;
   if (solver.has_coarse_level()) out.coarse_use = solver.coarse_level() ? CoarseUse::kAlways : CoarseUse::kNever;
+  TM_RETURN_IF_ERROR(read_lag(solver, out));
   TM_RETURN_IF_ERROR(read_budget(solver, out));
   if (solver.has_cpu_threads()) {
     TM_RETURN_IF_ERROR(read_number(solver.cpu_threads(), 1, limits::kMaxCpuThreads, "scene.solver.cpu_threads"));

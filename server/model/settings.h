@@ -43,6 +43,9 @@ struct Settings {
   double floor_tolerance = 0;             ///< steps with a larger residual are not published; 0: no limit
   std::uint32_t cg_max_iterations = 0;
   CoarseUse coarse_use = CoarseUse::kAutomatic;
+  /// Lagged tangents (matrix/lagged_tangents.h): steps from one evaluation of an element to the next; 1: each step.
+  std::uint32_t lag_steps = 1;
+  double lag_strain = 0;  ///< change of F that has an element evaluated at once
   /// Bounds that the scene sets for the guard; absent: world/guard.h has defaults.
   std::optional<double> max_move_m, max_distance_m, max_energy_ratio;
   bool goes_on = false;  ///< v1::Guard::ON_FAULT_GO_ON
@@ -55,6 +58,8 @@ struct Settings {
   bool iterates() const { return newton_max_iterations > 1; }
   /// Returns whether each step is an equilibrium, without inertia.
   bool quasi_static() const { return integrator == Integrator::kQuasiStatic; }
+  /// Returns whether elements follow their last tangents where their law allows it.
+  bool asks_for_lag() const { return lag_steps > 1; }
   /// Returns whether a step solves for its middle and continues to its end.
   bool extrapolates() const { return integrator == Integrator::kImplicitMidpoint; }
 };

@@ -32,10 +32,12 @@ enum class StageKind : std::uint8_t {
   kGenerateContacts,
   kBeginLinks,
   kFindLinks,
+  kLaggedElements,
   kBeginEdges,
   kInternalVariables,
   kDecompose,
   kElements,
+  kGatherKept,
   kFinishRows,
   kRowErrors,
   kExternalForces,
@@ -121,7 +123,9 @@ struct StageSizes {
   double points() const { return static_cast<double>(group->stride) * group->point_count; }
   double internal_variable_bytes() const { return 2 * static_cast<double>(group->internal_variable_reals()) * real; }
   double rest_bytes() const { return static_cast<double>(group->rest.size() + group->parameters.size()) * real; }
-  bool decomposes() const { return !edges && !group->is_constant && physics::decomposes(group->law); }
+  bool decomposes() const {
+    return !edges && !group->is_constant && !m.lags(*group) && physics::decomposes(group->law);
+  }
   double decomposition_bytes() const { return decomposes() ? points() * view::kDecompositionReals * real : 0; }
 
   /// A pass over the triangles for each core point, and one for each segment between two of them.
@@ -213,12 +217,24 @@ inline constexpr StageInfo kStages[] = {
    "bodies touch or are attached to each other, or a blade cuts",
    [](const StageSizes& s) { return s.has_links(); },
    [](const StageSizes& s) { return s.find_links(); }},
+  {StageKind::kLaggedElements, Phase::kEvaluate, Scope::kShapeAndLaw, Communication::kNone,
+   "lagged element tensors", "displacement, rest shapes, kept tensors", "kept tensors",
+   "for groups with lagged tangents",
+   [](const StageSizes& s) { return s.m.lags(*s.group); },
+   [](const StageSizes& s) {
+     // Each element's moves are compared; one in lag_steps is evaluated, and its tensors are read and written.
+     const double nodes = s.nodes_of_element(), stride = s.group->stride, turns = s.m.lag_steps;
+     const double kept = 3 * (2 * nodes - 1) + 9 * nodes * (nodes - 1) / 2;
+     return Cost{static_cast<double>(s.group->rows.size()) * (4 + 4 * s.real) + s.rest_bytes() +
+                     stride * (3 * (nodes - 1) + 2 * kept / turns) * s.real,
+                 s.points() * (30 * nodes + (120 + 30 * nodes + 30 * nodes * nodes) / turns)};
+   }},
   {StageKind::kBeginEdges, Phase::kEvaluate, Scope::kScene, Communication::kNone,
-   "assemble constant part", "constant tensors, velocity", "matrix, right-hand side",
+   "assemble constant part", "constant and kept tensors, velocity", "matrix, right-hand side",
    "the matrix stores edges (CPU); element passes then add to it",
    [](const StageSizes& s) { return s.edges; },
    [](const StageSizes& s) {
-     const bool constant = !s.m.constant_edges.empty();
+     const bool constant = !s.m.constant_edges.empty() || s.m.lags();
      return Cost{s.slots * 9 * s.real * (constant ? 2 : 1) + s.rows * (3 * 4 + 8) * s.real,
                  s.slots * (constant ? 90 : 0)};
    }},
@@ -234,8 +250,8 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) { return Cost{s.rest_bytes() + s.decomposition_bytes(), s.points() * 600}; }},
   {StageKind::kElements, Phase::kEvaluate, Scope::kShapeAndLaw, Communication::kNone,
    "element tensors", "displacement, rest shapes; on a GPU decompositions", "matrix, right-hand side",
-   "for each group whose law is not linear; on a GPU the last one forms the rows of A and b",
-   [](const StageSizes& s) { return !s.group->is_constant; },
+   "for each group whose law is not linear, unless its tangents lag; on a GPU the last one forms the rows of A and b",
+   [](const StageSizes& s) { return !s.group->is_constant && !s.m.lags(*s.group); },
    [](const StageSizes& s) {
      // Counted for StVK: about 120 for the stress of a point, 60 for each node, then 60 for each block.
      const double nodes = s.nodes_of_element(), points = s.points(), rest = s.rest_bytes() + s.internal_variable_bytes();
@@ -251,9 +267,20 @@ inline constexpr StageInfo kStages[] = {
      return Cost{elements + (s.slots * 9 + s.rows * (8 + 4)) * 2 * s.real,
                  points * (120 + 30 * nodes + 30 * nodes * nodes)};
    }},
+  {StageKind::kGatherKept, Phase::kEvaluate, Scope::kShapeAndLaw, Communication::kNone,
+   "gather kept tensors", "kept tensors of elements", "kept tensors of rows",
+   "on a GPU, for groups with lagged tangents: for rows whose elements were evaluated",
+   [](const StageSizes& s) { return !s.edges && s.m.lags(*s.group); },
+   [](const StageSizes& s) {
+     const auto& row_lists = s.group->row_lists;
+     const double nodes = s.nodes_of_element(), turns = s.m.lag_steps;
+     const double lists = static_cast<double>(row_lists.listed.size() + row_lists.places.size()) * 4;
+     const double blocks = static_cast<double>(s.group->rows.size()) * (nodes - 1);
+     return Cost{(lists + blocks * 9 * s.real + s.slots * 9 * s.real) / turns, blocks * 9 / turns};
+   }},
   {StageKind::kFinishRows, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "finish rows", "constant tensors, sums of the elements, velocity", "matrix, right-hand side",
-   "on a GPU, if there are constant tensors; otherwise the last element pass finishes rows",
+   "on a GPU, if there are constant or kept tensors; otherwise the last element pass finishes rows",
    [](const StageSizes& s) { return !s.m.begun_slices.empty(); },
    [](const StageSizes& s) {
      return Cost{s.slots * (9 * s.real * 2 + 4) + s.rows * (4 * 4 + 8) * s.real, s.slots * 54 + s.rows * 60};

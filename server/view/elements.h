@@ -94,6 +94,11 @@ struct ElementView {
   std::uint32_t place_bits;     // 8 or 16
   const std::uint32_t* places;  // [column][words][kSliceRows], see matrix::Places
 
+  // Lagged tangents (matrix/lagged_tangents.h); nullptr: the group is evaluated in each step.
+  std::uint32_t begins_kept;   // 1: the first such group of the scene
+  Real* kept;                  // [pack][kKeptReals][lane]
+  const std::uint32_t* turns;  // [count] StepControl::refresh_turn in which it is evaluated however little it moved
+
   // Storage by edges (matrix/edges.h):
   const std::uint32_t* patch_elements;  // [patch_count, 2] range of elements that touch a patch; nullptr: even split
   const std::uint32_t* pair_places;  // [pairs][count] 2 · slot + 1 if it holds the transposed block; kNoPlace: no slot

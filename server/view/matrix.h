@@ -39,6 +39,14 @@ struct MatrixView {
   const Real* mass_edges;            // [slot] kg, consistent mass off the diagonal; nullptr: lumped
   const std::uint8_t* begun_slices;  // [row_count / kSliceRows] 1: edges hold K, rhs holds forces of elements
 
+  // Lagged tangents (matrix/lagged_tangents.h); nullptr: every element is evaluated in each step.
+  Real lag_strain;              // an element is evaluated again once its F has changed by more
+  Real* kept_edges;             // [slot] 3×3 tensors K_kl of the lagged groups [N/m]
+  Real* kept_force;             // [row_count, 4] their forces if nothing were displaced [N]
+  Real* kept_diagonal;          // [row_count, 8] K_kk, as `diagonal`; with edges only
+  Real* kept_ahead;             // [own rows and halo of each patch, 4] for the product with them [m]; with edges only
+  std::uint32_t* kept_touched;  // [slice] 1: an element at its rows was evaluated in this step; without edges only
+
   // The system. Scaling turns it into Â x = b̂ with Â = L⁻¹ A L⁻ᵀ, b̂ = s L⁻¹ b (solver/jacobi_scaling.h).
   Real* edges;     // [slot] 3×3
   Real* diagonal;  // [row_count, 8]: upper triangle of A_ii, after `factorize` L⁻¹; 6 used

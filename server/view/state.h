@@ -40,6 +40,8 @@ struct StepControl {
   std::uint32_t starts_from_last;    // 1: the solve searches along the last step's solution first
   std::uint32_t last_solution;       // index into SolveView::kept, 0 or 1: the last step's solution
   std::uint32_t next_solution;       // the same: this step writes its solution there; may equal last_solution
+  std::uint32_t refresh_turn;        // turn of the step among those of lagged tangents (matrix/lagged_tangents.h)
+  std::uint32_t refreshes_all;       // 1: every element is evaluated, because nothing that is kept fits
 };
 
 /// Fields of rows, [row_count, 4] each, for stages that read them.

@@ -221,16 +221,17 @@ bool Loop::step_once(bool with_frame, Diagnostics diagnostics) {
 bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
   const Clock::time_point began = Clock::now();
   promise_turn(began);
-  const std::uint64_t step = world_->step_count() + 1;
-  const std::uint32_t cg_limit = world_->cg_limit();
-  bool good = false, diagnosed = false;
+  StepEnd end{
+      .step = world_->step_count() + 1, .cg_limit = world_->cg_limit(), .evaluates_all = world_->evaluates_all_next()};
+  bool good = false;
   try {
     good = world_->step(with_frame && outputs_.has_frames());
     if (!good) outputs_.gather_frame();
-    diagnosed = good && (diagnostics == Diagnostics::kNow ||
-                         (diagnostics == Diagnostics::kIfDue && world_->step_count() >= next_diagnostics_));
-    if (diagnosed) diagnose();
-    if (recording_) record_step(step, cg_limit, diagnosed, !good);
+    end.rejected = !good;
+    end.diagnosed = good && (diagnostics == Diagnostics::kNow ||
+                             (diagnostics == Diagnostics::kIfDue && world_->step_count() >= next_diagnostics_));
+    if (end.diagnosed) diagnose();
+    if (recording_) record_step(end);
   } catch (const backend::StepStopped&) {
     stop_with_fault("the scene is being unloaded");
     return false;

@@ -161,7 +161,10 @@ class Loop {
     LoopCopy state;
     GenerationPointer generation;
   };
+  /// Copies the state, for one that will be restored.
   Result<SavedState> do_save();
+  /// Copies the state for a reader, which leaves the run as it is.
+  Result<World::Copied> do_copy();
   struct Kept : SavedState {
     bool paused = false;
     std::chrono::nanoseconds held{};  ///< time for which the loop could not step
@@ -228,7 +231,7 @@ class Loop {
   bool step_due(Clock::time_point now) const;
   void expire_poses(Clock::time_point now);
   void measure_pose_ages(Clock::time_point now);
-  void record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected);
+  void record_step(StepEnd end);
   void go_on_from_new_state();
   void go_on_with_new_values(GenerationPointer next, EditPointer edit, bool parts_change = false);
   void take_tools(const PoseInboxes& inboxes, std::span<const std::size_t> places);

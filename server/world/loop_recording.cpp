@@ -12,15 +12,12 @@
 /// The loop's commands for recordings, replays, snapshots and adjustments. Each runs between two steps.
 namespace tensormass::world {
 
-void Loop::record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected) {
-  recording_->end_step({.step = step,
-                        .server_time_ns = unix_time_ns(),
-                        .cg_limit = cg_limit,
-                        .diagnosed = diagnosed,
-                        .rejected = rejected,
-                        .recovered = world_->recovering()});
-  if (!rejected && recording_->check_due()) {
-    recording_->take_check(step, world_->state(), world_->shared_model());
+void Loop::record_step(StepEnd end) {
+  end.server_time_ns = unix_time_ns();
+  end.recovered = world_->recovering();
+  recording_->end_step(end);
+  if (!end.rejected && recording_->check_due()) {
+    recording_->take_check(end.step, world_->state(), world_->shared_model());
   }
 }
 
@@ -62,6 +59,7 @@ Result<v1::ReplaySceneResponse> Loop::do_replay(std::span<const Replay::Step> st
                               step.step, world_->step_count()));
     }
     world_->set_cg_limit(step.cg_limit);
+    if (step.evaluates_all) world_->evaluate_all_next();
     for (const auto& [tool, received] : step.poses) {
       world_->set_tool_target(tool, received.pose, received.stamp, received.valid_for_s, received.level);
       if (recording_) recording_->take_pose(tool, received);
@@ -89,7 +87,14 @@ Result<v1::ReplaySceneResponse> Loop::do_replay(std::span<const Replay::Step> st
 
 Result<Loop::SavedState> Loop::do_save() {
   TM_RETURN_IF_ERROR(require_state());
-  return SavedState{{world_->copy(), next_diagnostics_}, generation()};
+  SavedState out{{world_->copy(), next_diagnostics_}, generation()};
+  world_->evaluate_all_next();
+  return out;
+}
+
+Result<World::Copied> Loop::do_copy() {
+  TM_RETURN_IF_ERROR(require_state());
+  return world_->copy();
 }
 
 Result<Loop::Kept> Loop::do_keep() {

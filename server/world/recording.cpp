@@ -150,6 +150,7 @@ bool Recording::take(v1::RecordSceneResponse& response) {
     out.set_diagnosed(step->end.diagnosed);
     out.set_rejected(step->end.rejected);
     out.set_recovered(step->end.recovered);
+    out.set_evaluates_all(step->end.evaluates_all);
     out.set_server_time_ns(step->end.server_time_ns);
     for (std::uint32_t i = 0; i < step->poses; ++i) {
       const TakenPose* pose = poses_.front();

@@ -55,6 +55,7 @@ struct StepEnd {
   std::uint64_t server_time_ns = 0;
   std::uint32_t cg_limit = 0;
   bool diagnosed = false, rejected = false, recovered = false;
+  bool evaluates_all = false;  ///< World::evaluate_all_next before it
 };
 
 /// What a recording keeps of a scene's tools.

@@ -38,6 +38,7 @@ Result<Replay::Step> read_step(const model::Model& model, const v1::RecordedStep
   out.step = message.step();
   out.diagnosed = message.diagnosed();
   out.rejected = message.rejected();
+  out.evaluates_all = message.evaluates_all();
   TM_ASSIGN_OR_RETURN(limit, model::read_number(message.cg_iteration_limit(), 1, model.cg_max_iterations,
                                                 where + ".cg_iteration_limit"));
   out.cg_limit = static_cast<std::uint32_t>(limit);

@@ -18,7 +18,7 @@ struct Replay {
   struct Step {
     std::uint64_t index = 0, step = 0;
     std::uint32_t cg_limit = 0;
-    bool diagnosed = false, rejected = false;
+    bool diagnosed = false, rejected = false, evaluates_all = false;
     bool checks = false;                                      ///< the caller wants a check after it
     std::vector<std::pair<std::size_t, ReceivedPose>> poses;  ///< tool, target
     std::vector<EditPointer> edits;                           ///< before it

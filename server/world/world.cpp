@@ -148,6 +148,7 @@ void World::read_tools() {
 
 bool World::step(bool gather_visible) {
   has_event_ = recovering_ = false;
+  evaluates_all_ = std::exchange(evaluates_all_next_, false);
   newly_broken_.clear();
   const bool begins_to_leave = take_tools_out();
   by_euler_ = asks_for_euler(published_, bodies_touch_);
@@ -456,6 +457,7 @@ BoundCheck World::make_parts(const Retry& how, bool projects_stiffness, std::uin
                           .projects_stiffness = projects_stiffness,
                           .loads_time_s = loads_time_s(share),
                           .load_factor = loads_grow ? share : 1,
+                          .evaluates_all = evaluates_all_ || how.steps > 1,
                           .gather_visible = gather_visible},
                          forces_);
     if (!by_euler_ && asks_for_euler(forces_, last_.touching_nodes > 0)) {

@@ -101,6 +101,10 @@ class World {
   static Copied in_layout(const model::Model& model, const Saved& saved) {
     return {saved, world::in_layout(model, saved.tissue)};
   }
+  /// Has the next step evaluate all elements, if tangents lag. Call it once a state was copied that may be restored: a
+  /// world that goes on from it does the same, so both go on alike.
+  void evaluate_all_next() { evaluates_all_next_ = model_->lags(); }
+  bool evaluates_all_next() const { return evaluates_all_next_; }
   /// Copies the state. Allocates; for requests.
   Copied copy();
   Saved save() { return by_node(*loaded_, copy()); }
@@ -280,6 +284,8 @@ class World {
   bool contact_jumped_ = false;                // in the last step, or its last part
   bool trial_jumped_ = false;                  // the same of the step that is tried
   bool bodies_touch_ = false;                  // at the end of the last step
+  bool evaluates_all_next_ = false;            // evaluate_all_next
+  bool evaluates_all_ = false;                 // the same of the current step
   bool by_euler_ = false;                      // the current step is one of implicit Euler, whatever the integrator
   // The current step, [tool].
   std::vector<backend::ToolInput> inputs_;  // at the end of the current part

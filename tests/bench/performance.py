@@ -258,6 +258,17 @@ def bodies() -> Iterator[str]:
         yield f"| {_thousands(case.removeprefix('body: '))}, {device} | {' | '.join([*measured, *counts])} |"
 
 
+def lag() -> Iterator[str]:
+    """What lagged tangents save and change, by their length: the newest rows of each device."""
+    newest = {(row["scene"], row["device"], row["lag"]): row for row in rows("lag.jsonl")}
+    yield "| scene, device | lag | step: median (p99) | CG iterations | force changed | displacement changed |"
+    yield "|---|---|---|---|---|---|"
+    for (scene, device, steps), row in newest.items():
+        times = f"{row['step_ms_median']:.3g} ({row['step_ms_p99']:.3g}) ms"
+        changed = [f"{row[f'{what}_percent']:.2g} %" if steps > 1 else "" for what in ("force", "displacement")]
+        yield f"| `{scene}`, {device} | {steps} | {times} | {row['cg_iterations']:g} | {' | '.join(changed)} |"
+
+
 def changes() -> Iterator[str]:
     """What a change of a scene costs it while it steps in real time, and how long the change takes."""
     yield "| in real time | deadlines missed | from the call to the answer: median (p99) |"
@@ -509,6 +520,7 @@ TABLES = {
     },
     REPOSITORY / "docs" / "comparison.md": {"engines": engines, "sofa": beside_sofa},
     REPOSITORY / "docs" / "decisions" / "contact-cost.md": {"contacts": contacts},
+    REPOSITORY / "docs" / "decisions" / "lagged-tangents.md": {"lag": lag},
     REPOSITORY / "docs" / "decisions" / "stream-codecs.md": {
         "streams": streams,
         "browser": browser,

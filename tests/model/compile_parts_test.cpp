@@ -102,7 +102,7 @@ TEST_P(CompileParts, AreMadeAgainForAnotherCutIntoPatches) {
   expect_equal_groups(elements.groups, model.groups);
   EXPECT_FALSE(elements.constant_edges.empty());
   EXPECT_EQ(elements.constant_edges, model.constant_edges);
-  EXPECT_EQ(value_of(list_elements_of_rows(layout, elements)).begun_slices, model.begun_slices);
+  EXPECT_EQ(value_of(list_elements_of_rows(model, layout, elements)).begun_slices, model.begun_slices);
 
   const ContactSurface contact = make_contact_surface(read.bodies, layout);
   EXPECT_EQ(contact.triangle_rows, model.contact.triangle_rows);
@@ -142,7 +142,7 @@ TEST_P(CompileParts, NewModuliNeedNewGroupsOnly) {
   expect_equal_groups(elements.groups, model.groups);
   EXPECT_EQ(elements.constant_edges, model.constant_edges);
   EXPECT_NE(elements.constant_edges, before.constant_edges);
-  EXPECT_EQ(value_of(list_elements_of_rows(layout, before)).begun_slices, model.begun_slices);
+  EXPECT_EQ(value_of(list_elements_of_rows(model, layout, before)).begun_slices, model.begun_slices);
   EXPECT_EQ(make_contact_surface(first.bodies, layout).triangle_rows, model.contact.triangle_rows);
 }
 

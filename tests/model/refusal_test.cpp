@@ -526,6 +526,24 @@ std::vector<Refusal> support_refusals() {
       {"NoNewtonIteration",
        [](auto& s) { s.mutable_solver()->set_newton_max_iterations(0); },
        {"scene.solver.newton_max_iterations"}},
+      {"NoLagStep",
+       [](auto& s) { s.mutable_solver()->set_tangent_lag_steps(0); },
+       {"scene.solver.tangent_lag_steps", "[1, 64]"}},
+      {"LagOfNewtonsMethod",
+       [](auto& s) {
+         s.mutable_solver()->set_tangent_lag_steps(8);
+         s.mutable_solver()->set_newton_max_iterations(2);
+       },
+       {"scene.solver.tangent_lag_steps", "newton_max_iterations: 1"}},
+      {"NanLagStrain",
+       [](auto& s) {
+         s.mutable_solver()->set_tangent_lag_steps(8);
+         s.mutable_solver()->set_tangent_lag_strain(kNan);
+       },
+       {"scene.solver.tangent_lag_strain", "nan"}},
+      {"LagStrainWithoutALag",
+       [](auto& s) { s.mutable_solver()->set_tangent_lag_strain(0.02); },
+       {"scene.solver.tangent_lag_strain", "tangent_lag_steps"}},
       {"NanNewtonTolerance",
        [](auto& s) { s.mutable_solver()->set_newton_tolerance(kNan); },
        {"scene.solver.newton_tolerance"}},

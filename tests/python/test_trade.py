@@ -46,6 +46,21 @@ def test_a_grid_has_every_knob_and_the_scene_is_unchanged(tmp_path: Path) -> Non
     assert knobs.apply({}).fields == yaml.safe_load(BLOCK)
 
 
+def test_only_a_step_that_is_linearized_once_has_a_lag(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+    lag: Setting = {"tangent_lag_steps": 8}
+    assert knobs.canonical(lag) == lag
+    assert knobs.apply(lag).message().solver.tangent_lag_steps == 8
+    for iterates in ({"newton_max_iterations": 2}, {"integrator": "quasi_static"}):
+        assert knobs.canonical({**iterates, **lag}) == iterates
+    knobs.choose(["tangent_lag_steps"])
+    assert knobs.canonical(lag) == lag
+    lagged = knobs_of(BLOCK.replace("solver: {", "solver: {tangent_lag_steps: 16, "), tmp_path)
+    assert lagged.canonical({"newton_max_iterations": 2}) == {"newton_max_iterations": 2, "tangent_lag_steps": 1}
+    newton = knobs_of(BLOCK.replace("solver: {", "solver: {newton_max_iterations: 5, "), tmp_path)
+    assert "Newton" in newton.without["tangent_lag_steps"]
+
+
 def test_tools_take_the_contact_method(tmp_path: Path) -> None:
     knobs = knobs_of(BLOCK, tmp_path)
     assert knobs.knobs["contact_method"].own == "penalty"

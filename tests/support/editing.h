@@ -28,12 +28,13 @@ struct EditedBeam {
   v1::Solver::Integrator integrator = v1::Solver::INTEGRATOR_IMPLICIT_EULER;
   std::uint32_t cells = 3, threads = 2;
   double coagulated_stiffness_factor = 1;
+  std::uint32_t lag_steps = 1;
 
   friend void PrintTo(const EditedBeam& of, std::ostream* out) {
     *out << v1::Shape_Name(of.shape) << " " << of.law << " " << v1::Quadrature_Name(of.quadrature)
          << (of.double_precision ? " double" : " float") << (of.consistent_mass ? " consistent" : "")
-         << (of.viscoelastic ? " viscoelastic" : "") << (of.coagulated_stiffness_factor > 1 ? " stiffening" : "") << " "
-         << v1::Solver::Integrator_Name(of.integrator);
+         << (of.viscoelastic ? " viscoelastic" : "") << (of.coagulated_stiffness_factor > 1 ? " stiffening" : "")
+         << (of.lag_steps > 1 ? " lagged" : "") << " " << v1::Solver::Integrator_Name(of.integrator);
   }
 };
 
@@ -63,6 +64,7 @@ inline v1::Scene edited_beam(const EditedBeam& of) {
   }
   scene.mutable_solver()->set_integrator(of.integrator);
   scene.mutable_solver()->set_cpu_threads(of.threads);
+  if (of.lag_steps > 1) scene.mutable_solver()->set_tangent_lag_steps(of.lag_steps);
   if (of.integrator == v1::Solver::INTEGRATOR_BDF2) scene.mutable_solver()->set_cg_max_iterations(60);
   if (of.integrator == v1::Solver::INTEGRATOR_QUASI_STATIC) {
     scene.mutable_solver()->set_cg_max_iterations(3000);

@@ -47,6 +47,8 @@ std::vector<EditedBeam> beams() {
   out.push_back({.integrator = v1::Solver::INTEGRATOR_QUASI_STATIC});
   out.push_back({.law = "hooke", .integrator = v1::Solver::INTEGRATOR_QUASI_STATIC});
   out.push_back({.coagulated_stiffness_factor = 4});
+  out.push_back({.lag_steps = 4});
+  out.push_back({.quadrature = v1::QUADRATURE_SELECTIVE, .double_precision = false, .lag_steps = 8});
   out.push_back({.law = "hooke",
                  .quadrature = v1::QUADRATURE_SELECTIVE,
                  .double_precision = false,
@@ -126,7 +128,8 @@ bool forms_clusters(const EditedBeam& of) {
 TEST_P(Editing, StepsAsASceneThatNeverHadTheElements) {
   int compared = 0;
   for (const EditedBeam& of : beams()) {
-    if (!of.double_precision || forms_clusters(of)) continue;
+    // Of two meshes, a lagged element of one may follow its tangent where that of the other is evaluated.
+    if (!of.double_precision || forms_clusters(of) || of.lag_steps > 1) continue;
     SCOPED_TRACE(testing::PrintToString(of));
     const bool quasi_static = of.integrator == v1::Solver::INTEGRATOR_QUASI_STATIC;
     v1::Scene scene = tests::edited_beam(of);

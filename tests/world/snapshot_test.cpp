@@ -72,6 +72,7 @@ const std::vector<Kind>& kinds() {
          term.set_share(0.4);
          term.set_relaxation_time_s(0.1);
        }},
+      {"lagged_tangents", [](v1::Scene& s) { s.mutable_solver()->set_tangent_lag_steps(8); }},
       {"mass", [](v1::Scene& s) { s.mutable_tools(0)->set_mass_kg(0.05); }},
       {"bdf2_kept_forces",
        [](v1::Scene& s) {

@@ -141,6 +141,7 @@ class CpuState final : public SceneState {
       for (const auto& [from, to] : edit.moved_triangles) move_slip(view_.contact, i, from, to);
     }
     if (edit.changes_loads) load_factors_.forget(model_);
+    checkpoint_.lag().forget();
   }
   std::unique_ptr<PreparedEdit> prepare(const model::Model& next,
                                         const std::vector<model::EditRange>& ranges) const override {
@@ -150,7 +151,10 @@ class CpuState final : public SceneState {
         [&](void* to, const void* from, std::size_t bytes) { out->add(static_cast<std::byte*>(to), from, bytes); });
     return out;
   }
-  void apply(const PreparedEdit& edit) override { static_cast<const Copies&>(edit).run(); }
+  void apply(const PreparedEdit& edit) override {
+    static_cast<const Copies&>(edit).run();
+    checkpoint_.lag().forget();
+  }
   std::vector<ConstantBuffer> read_constants() override {
     std::vector<ConstantBuffer> all;
     for (const cpu::Arena::Constant& one : arena_.constants()) {
@@ -276,7 +280,8 @@ class CpuState final : public SceneState {
     cpu::Team team(patch, view_.patches.patch_count, barrier_, stop_flag());
     for (const step::Stage& stage : stages_) {
       if ((what & command(stage.info->phase)) == 0) continue;
-      if (stage.info->kind == step::StageKind::kElements) {
+      const step::StageKind kind = stage.info->kind;
+      if (kind == step::StageKind::kElements || kind == step::StageKind::kLaggedElements) {
         passes_[stage.group].tensors(team, view_, groups_[stage.group]);
       } else if (stage.info->kind == step::StageKind::kDiagnostics) {
         passes_[stage.group].diagnose(team, view_, groups_[stage.group]);

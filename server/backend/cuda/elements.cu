@@ -17,6 +17,14 @@ struct InternalVariables {
 };
 
 template <class Shape, class Law>
+struct LaggedElements {
+  template <class Team, class Real>
+  __device__ static void run(Team& team, const view::SceneView<Real>& s, const view::ElementView<Real>& e) {
+    matrix::keep_elements<Shape, Law>(team, s.patches, s.state, s.matrix, s.newton, e);
+  }
+};
+
+template <class Shape, class Law>
 struct Diagnostics {
   template <class Team, class Real>
   __device__ static void run(Team& team, const view::SceneView<Real>& s, const view::ElementView<Real>& e) {
@@ -36,6 +44,7 @@ ElementKernels element_kernels_of_law(int shape) {
     kernels.adds_in_turns = matrix::kAddsInTurns<Shape>;
     kernels.internal_variables =
         reinterpret_cast<const void*>(&run_stage<InternalVariables<Shape, Of>, Real, kStageThreads>);
+    kernels.lagged = reinterpret_cast<const void*>(&run_stage<LaggedElements<Shape, Of>, Real, kStageThreads>);
     kernels.diagnostics = reinterpret_cast<const void*>(&run_stage<Diagnostics<Shape, Of>, Real>);
   });
   return kernels;

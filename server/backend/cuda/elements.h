@@ -14,6 +14,7 @@ struct ElementKernels {
   bool adds_in_turns = false;      ///< matrix::kAddsInTurns of the shape
   // With the signature of run_stage (launch.cuh):
   const void* internal_variables = nullptr;  ///< matrix::advance_internal_variables; does not reduce
+  const void* lagged = nullptr;              ///< matrix::keep_elements; does not reduce
   const void* diagnostics = nullptr;         ///< step::diagnose_elements; reduces
 };
 

@@ -2,6 +2,7 @@
 
 #include "backend/cuda/rows_memory.h"
 #include "backend/cuda/team.cuh"
+#include "matrix/lagged_tangents.h"
 #include "matrix/rows.h"
 
 /// Assembly by rows (matrix/rows.h) on a GPU: a block runs a slice, a thread a row, and the row's blocks are in shared
@@ -196,6 +197,16 @@ __global__ void __launch_bounds__(kMaxPartsOf<Shape>* kWarp)
   extern __shared__ float4 shared[];
   SharedBlocks<Real, matrix::kKeepsNeighbours<Shape>, matrix::kAddsInTurns<Shape>> blocks(shared, capacity);
   matrix::assemble_row<Shape, Law>(s.patches, s.state, s.matrix, s.newton, e, blockIdx.x, threadIdx.x % kWarp, blocks);
+}
+
+/// Adds up the kept tensors of the rows of a group, one block a slice.
+template <class Shape, class Real>
+__global__ void __launch_bounds__(kMaxPartsWithSums* kWarp)
+    gather_rows(const __grid_constant__ SceneView<Real> s, const __grid_constant__ ElementView<Real> e,
+                std::uint32_t capacity) {
+  extern __shared__ float4 shared[];
+  SharedBlocks<Real, false, false> blocks(shared, capacity);
+  matrix::gather_kept<Shape>(s.state, s.matrix, e, blockIdx.x, threadIdx.x % kWarp, blocks);
 }
 
 }  // namespace tensormass::backend::cuda

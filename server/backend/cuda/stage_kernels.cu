@@ -1,6 +1,7 @@
 #include "backend/cuda/stage_kernels.h"
 
 #include "backend/cuda/launch.cuh"
+#include "backend/cuda/rows.cuh"
 #include "backend/cuda/solve_team.cuh"
 #include "step/run.h"
 
@@ -30,5 +31,17 @@ const void* stage_kernel(const model::Model& model, const step::Stage& stage) {
 }
 
 template const void* stage_kernel<TM_REAL>(const model::Model&, const step::Stage&);
+
+template <class Real>
+const void* gather_kernel(int shape) {
+  const void* kernel = nullptr;
+  physics::for_each_type(physics::Shapes{}, [&](auto tag, int index) {
+    using Shape = typename decltype(tag)::Type;
+    if (index == shape) kernel = reinterpret_cast<const void*>(&gather_rows<Shape, Real>);
+  });
+  return kernel;
+}
+
+template const void* gather_kernel<TM_REAL>(int);
 
 }  // namespace tensormass::backend::cuda

@@ -14,4 +14,8 @@ namespace tensormass::backend::cuda {
 template <class Real>
 const void* stage_kernel(const model::Model& model, const step::Stage& stage);
 
+/// Returns gather_rows (rows.cuh), a block a slice, for a shape.
+template <class Real>
+const void* gather_kernel(int shape);
+
 }  // namespace tensormass::backend::cuda

@@ -197,6 +197,7 @@ class CudaState : public SceneState {
     // A state may be written next, by copies that do not wait for this stream.
     if (!edit.held_rows.empty() || !edit.severed.empty() || !edit.moved_triangles.empty()) wait("edit");
     if (edit.changes_loads) load_factors_.forget(model_);
+    checkpoint_.lag().forget();
   }
   std::unique_ptr<PreparedEdit> prepare(const model::Model& next,
                                         const std::vector<model::EditRange>& ranges) const override {
@@ -207,6 +208,7 @@ class CudaState : public SceneState {
   void apply(const PreparedEdit& edit) override {
     static_cast<const DeviceEntries&>(edit).run(stream());
     wait("edit");  // the caller may release it
+    checkpoint_.lag().forget();
   }
   std::vector<ConstantBuffer> read_constants() override {
     wait("read back");
@@ -464,7 +466,15 @@ class CudaState : public SceneState {
           }));
     }
   }
-  /// Launches assemble_rows for the slices [begin, end) of a group.
+  void launch_gather(const model::ElementGroup& group, const view::ElementView<Real>& elements) {
+    const void* const kernel = gather_kernel<Real>(group.shape);
+    allow_all_shared_bytes(kernel);
+    launch_rows(
+        kernel, elements, 0, elements.slice_count,
+        launch_with_sums<Real>(elements.slice_count, model_.layout.widest_slice(), false,
+                               static_cast<std::uint32_t>(device_.multiProcessorCount), most_rows_bytes(device_)));
+  }
+  /// Launches assemble_rows, or gather_rows, for the slices [begin, end) of a group.
   void launch_rows(const void* kernel, view::ElementView<Real> elements, std::uint32_t begin, std::uint32_t end,
                    RowsLaunch rows) {
     elements.slices += begin;
@@ -494,9 +504,13 @@ class CudaState : public SceneState {
     if (stage.info->scope == step::Scope::kShapeAndLaw) {
       const model::ElementGroup& group = model_.groups[stage.group];
       if (stage.info->kind == StageKind::kElements) return launch_elements(group, groups_[stage.group]);
+      if (stage.info->kind == StageKind::kGatherKept) return launch_gather(group, groups_[stage.group]);
       const ElementKernels kernels = element_kernels<Real>(group.shape, group.law);
       if (stage.info->kind == StageKind::kInternalVariables) {
         return launch(stage.info->communication, kernels.internal_variables, elements, elements.count);
+      }
+      if (stage.info->kind == StageKind::kLaggedElements) {
+        return launch(stage.info->communication, kernels.lagged, elements, elements.count);
       }
       return launch(stage.info->communication, kernels.diagnostics, elements);
     }

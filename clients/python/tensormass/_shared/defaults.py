@@ -42,6 +42,11 @@ def newton_tolerance(solver: scene_pb2.Solver) -> float:
     return 1e-6 if solver.precision == scene_pb2.Solver.PRECISION_DOUBLE else 1e-3
 
 
+def tangent_lag_steps(solver: scene_pb2.Solver) -> int:
+    """Returns the number of steps from one evaluation of an element to the next."""
+    return solver.tangent_lag_steps if solver.HasField("tangent_lag_steps") else 1
+
+
 class LargestLoads(NamedTuple):
     """Loads of a tool above which it gives way."""
 

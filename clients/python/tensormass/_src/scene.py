@@ -328,6 +328,8 @@ class Scene:
         allow_unconverged: bool | None = None,
         cpu_threads: int | None = None,
         coarse_level: bool | None = None,
+        tangent_lag_steps: int | None = None,
+        tangent_lag_strain: float | None = None,
     ) -> None:
         """Changes settings of the solver. None leaves a setting as it is; `Solver` in scene.proto has the defaults.
 
@@ -343,6 +345,9 @@ class Scene:
             coarse_level: whether linear solves know the rigid motion of pieces of bodies, as stiff, slender ones need.
                 Without a value a scene has it once a solve takes more than 80 iterations. A GPU that streams the matrix
                 of a very large scene has none.
+            tangent_lag_steps: steps from one evaluation of an element to the next. In between its force follows its last
+                tangent. Not with Newton's method.
+            tangent_lag_strain: change of a component of its deformation gradient that has an element evaluated at once.
 
         Raises:
             InvalidArgumentError: a wrong argument; the message names it. The daemon checks the ranges.

@@ -47,8 +47,16 @@ _CG_SHARES = (0.1, 0.25, 1.0)
 _CG_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 _NEWTON_ITERATIONS = (1, 2, 5)
 _NEWTON_TOLERANCES = (1e-2, 1e-3, 1e-4)
+_LAGS = (16, 8, 1)
 #: Knobs that change how accurately a step is solved, but not the problem.
-SOLVE_KNOBS = ("newton_max_iterations", "newton_tolerance", "cg_max_iterations", "cg_tolerance", "precision")
+SOLVE_KNOBS = (
+    "newton_max_iterations",
+    "newton_tolerance",
+    "cg_max_iterations",
+    "cg_tolerance",
+    "precision",
+    "tangent_lag_steps",
+)
 
 
 @dataclass(frozen=True)
@@ -122,7 +130,13 @@ class Knobs:
                 kept["quadrature"] = _ONE_POINT[0]
         if self.value(kept, "integrator") == "quasi_static" and not self.quasi_static:
             kept.pop("mass", None)
-        return kept
+        # Newton's method, also that of equilibrium, evaluates every element.
+        newton = self.value(kept, "newton_max_iterations") not in (None, 1)
+        if newton or self.value(kept, "integrator") == "quasi_static":
+            kept.pop("tangent_lag_steps", None)
+            if "tangent_lag_steps" in self.knobs and self.knobs["tangent_lag_steps"].own != 1:
+                kept["tangent_lag_steps"] = 1
+        return {name: kept[name] for name in self.knobs if name in kept}
 
     def _has_one_point(self, setting: Setting) -> bool:
         """Tells whether all elements are linear tetrahedra in a setting."""
@@ -153,6 +167,7 @@ class Knobs:
             defaults.cg_max_iterations(solver),
             -defaults.cg_tolerance(solver),
             solver.precision == scene_pb2.Solver.PRECISION_DOUBLE,
+            -defaults.tangent_lag_steps(solver),
         )
 
     def solved_better(self, setting: Setting) -> dict[str, Value]:
@@ -309,6 +324,12 @@ class Knobs:
         tolerance = defaults.cg_tolerance(solver)
         tolerances = sorted({*_CG_TOLERANCES, tolerance}, reverse=True)
         self._add("cg_tolerance", "residual that ends a solve", tolerance, tolerances, True)
+        if self.quasi_static or newton > 1:
+            self.without["tangent_lag_steps"] = "Newton's method evaluates every element"
+        else:
+            lag = defaults.tangent_lag_steps(solver)
+            lags = sorted({*_LAGS, lag}, reverse=True)
+            self._add("tangent_lag_steps", "steps from one evaluation of an element to the next", lag, lags, True)
         precision = "double" if solver.precision == scene_pb2.Solver.PRECISION_DOUBLE else "float"
         self._add("precision", "of the numbers", precision, ("float", "double"))
 
