@@ -218,7 +218,8 @@ struct RealTime {
   std::uint32_t copies = 0;  ///< concurrent copies of `station()` instead of a file
   double rate_hz = 0;        ///< 0: the scene's own
   double seconds = 10;
-  bool together = false;  ///< no scene steps before all are loaded
+  bool together = false;        ///< no scene steps before all are loaded
+  std::uint32_t lag_steps = 0;  ///< Solver.tangent_lag_steps; 0: the scene's own
   std::vector<double> press;
 };
 
@@ -292,6 +293,7 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
     scene = read;
   }
   scene.mutable_stepping()->set_lockstep(false);
+  if (options.lag_steps > 0) scene.mutable_solver()->set_tangent_lag_steps(options.lag_steps);
   if (options.rate_hz > 0) {
     scene.mutable_stepping()->set_rate_hz(options.rate_hz);
     scene.mutable_stepping()->set_dt_s(1 / options.rate_hz);
@@ -409,6 +411,7 @@ int main(int argc, char** argv) {
   app.add_option("--rate", real_time.rate_hz, "with --scene: steps a second, dt = 1 / rate");
   app.add_option("--seconds", real_time.seconds, "with --scene or --stations")->check(CLI::Range(0.1, 3600.0));
   app.add_flag("--together", real_time.together, "with --stations: no scene steps before all are loaded");
+  app.add_option("--lag", real_time.lag_steps, "with --scene or --stations: Solver.tangent_lag_steps");
   app.add_option("--press", real_time.press, "with --scene: position x y z to which the first tool presses [m]")
       ->expected(3);
   CLI11_PARSE(app, argc, argv);
