@@ -111,6 +111,14 @@ constexpr SceneFamily kSceneFamilies[] = {
      [](Exposition& out, const SceneMetrics& s) {
        out.sample({{"scene", s.status.scene()}}, s.status.momentum_error());
      }},
+    {{"tensormass_cut_area_square_meters", Type::kGauge, "Area of the scene's cuts; a reset heals them."},
+     [](Exposition& out, const SceneMetrics& s) {
+       out.sample({{"scene", s.status.scene()}}, s.status.cut_area_m2());
+     }},
+    {{"tensormass_removed_mass_grams", Type::kGauge, "Mass of the tissue that was taken away; a reset heals it."},
+     [](Exposition& out, const SceneMetrics& s) {
+       out.sample({{"scene", s.status.scene()}}, 1e3 * s.status.removed_mass_kg());
+     }},
     {{"tensormass_guard_events_total", Type::kCounter, "Steps that left their bounds, by the first bound."},
      [](Exposition& out, const SceneMetrics& s) { write_by_breach(out, s, s.counts->guard_events); }},
     {{"tensormass_recoveries_total", Type::kCounter,

@@ -33,6 +33,8 @@ world::SceneMetrics invented_scene() {
   scene.status.set_frames_replaced(2);
   scene.status.set_cg_relative_residual(0.001);
   scene.status.set_momentum_error(0.25);
+  scene.status.set_cut_area_m2(0.0125);
+  scene.status.set_removed_mass_kg(0.5);
   scene.bytes = 1 << 20;
   scene.tools.push_back({"probe", 100, 3, 4});
   const auto statistics = std::make_shared<world::StepStatistics>();
