@@ -1,11 +1,14 @@
 #include <algorithm>
 #include <array>
 #include <numeric>
+#include <span>
+#include <vector>
 
 #include <fmt/format.h>
 
 #include "core/cut_limits.h"
 #include "mesh/components.h"
+#include "mesh/faces.h"
 #include "model/compile_parts.h"
 #include "model/cut_bodies.h"
 #include "tensormass/v1/scene.pb.h"
@@ -15,46 +18,29 @@ namespace tensormass::model {
 
 namespace {
 
-/// A face of a tetrahedron by its nodes in ascending order.
-struct Face {
-  std::array<std::uint32_t, 3> nodes;
-  std::uint32_t element, corner;  ///< the corner opposite to it
-};
-
-/// Returns the neighbours of each element across the face opposite to each corner. Where a cut ends, a face may belong
-/// to more than two copies of elements; an element then has the first of those on the other side.
-std::vector<std::uint32_t> neighbours_of(const std::vector<std::array<std::uint32_t, 4>>& elements,
-                                         std::span<const Eigen::Vector3d> nodes) {
-  std::vector<Face> faces;
-  faces.reserve(4 * elements.size());
-  for (std::uint32_t e = 0; e < elements.size(); ++e) {
-    for (std::uint32_t corner = 0; corner < 4; ++corner) {
-      Face face{{}, e, corner};
-      for (std::uint32_t k = 0, i = 0; k < 4; ++k) {
-        if (k != corner) face.nodes[i++] = elements[e][k];
-      }
-      std::sort(face.nodes.begin(), face.nodes.end());
-      faces.push_back(face);
-    }
-  }
-  std::sort(faces.begin(), faces.end(), [](const Face& a, const Face& b) {
-    return a.nodes != b.nodes ? a.nodes < b.nodes : a.element < b.element;
-  });
+/// Returns the neighbours of each tetrahedron across the face opposite to each corner. Where a cut ends, a face may
+/// belong to more than two copies of elements; an element then has the first of those on the other side.
+std::vector<std::uint32_t> neighbours_of(const mesh::Mesh& mesh,
+                                         const std::vector<std::array<std::uint32_t, 4>>& elements) {
+  const auto corner_opposite = [&](const mesh::ElementFace& face) {
+    const auto& nodes = elements[face.element];
+    const auto off_face = [&](std::uint32_t node) {
+      return std::ranges::find(face.corners, node) == face.corners.end();
+    };
+    return static_cast<std::uint32_t>(std::ranges::find_if(nodes, off_face) - nodes.begin());
+  };
   // Copies of one element lie on the same side of a face: their fourth corner is the same place.
-  const auto opposite = [&](const Face& face) -> const Eigen::Vector3d& {
-    return nodes[elements[face.element][face.corner]];
+  const auto opposite = [&](const mesh::ElementFace& face) -> const Eigen::Vector3d& {
+    return mesh.nodes[elements[face.element][corner_opposite(face)]];
   };
   std::vector<std::uint32_t> out(4 * elements.size(), view::kNoTetrahedron);
-  for (std::size_t begin = 0, end = 0; begin < faces.size(); begin = end) {
-    while (end < faces.size() && faces[end].nodes == faces[begin].nodes) ++end;
-    for (std::size_t i = begin; i < end; ++i) {
-      for (std::size_t j = begin; j < end; ++j) {
-        if (j == i || opposite(faces[i]) == opposite(faces[j])) continue;
-        out[4 * std::size_t{faces[i].element} + faces[i].corner] = faces[j].element;
-        break;
-      }
+  mesh::match_faces(mesh, [&](std::span<const mesh::ElementFace> same) {
+    for (const mesh::ElementFace& face : same) {
+      const auto other = std::ranges::find_if(
+          same, [&](const mesh::ElementFace& one) { return &one != &face && opposite(one) != opposite(face); });
+      if (other != same.end()) out[4 * std::size_t{face.element} + corner_opposite(face)] = other->element;
     }
-  }
+  });
   return out;
 }
 
@@ -204,7 +190,7 @@ Blades make_blades(const LinkInput& in) {
   });
   const std::vector<double> holds = holds_of(in.bodies, elements);
   for (std::size_t e = 0; e < elements.size(); ++e) out.toughness[e] *= holds[e];
-  out.neighbours = neighbours_of(elements, in.bodies.merged.nodes);
+  out.neighbours = neighbours_of(in.bodies.merged, elements);
   std::vector<std::uint32_t> patches;
   for (const auto& nodes : elements) {
     for (const std::uint32_t node : nodes) out.rows.push_back(in.layout.row_of_node[node]);
