@@ -157,6 +157,25 @@ TEST_P(LaggedTangents, KeepMomentum) {
   }
 }
 
+/// Forces of a stiff part that did not balance would be those of the soft part beside it.
+TEST_P(LaggedTangents, RoundAlikeBesideAPartAMillionTimesSofter) {
+  const auto bar = [](bool double_precision) {
+    v1::Scene scene = swinging_bar(v1::SHAPE_TETRAHEDRON, "stable_neo_hookean", double_precision);
+    v1::Body& body = *scene.mutable_bodies(0);
+    body.mutable_law()->mutable_stable_neo_hookean()->set_young_modulus_pa(1e9);
+    v1::LawRegion& soft = *body.add_law_regions();
+    tests::set(*soft.mutable_region()->mutable_box()->mutable_min_m(), 0.4, -1, -1);
+    tests::set(*soft.mutable_region()->mutable_box()->mutable_max_m(), 1, 1, 1);
+    *soft.mutable_law() = tests::law("stable_neo_hookean", 1e3, 0.4);
+    v1::Box& clamp = *body.add_fixed()->mutable_box();
+    tests::set(*clamp.mutable_min_m(), -1, -1, -1);
+    tests::set(*clamp.mutable_max_m(), 1e-6, 1, 1);
+    tests::set(*scene.mutable_gravity_m_per_s2(), 0, -1, 0);
+    return lagged(scene, 8, 0.02);
+  };
+  EXPECT_LT(distance(after(*start(bar(false)), 50), after(*start(bar(true)), 50)), 1e-3);
+}
+
 /// At rest every tangent is that of the state, so the equilibrium is the one without a lag.
 TEST_P(LaggedTangents, EndInTheSameEquilibrium) {
   v1::Scene scene = tests::block_with_probe(true, 6);
