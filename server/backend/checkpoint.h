@@ -14,7 +14,7 @@ namespace tensormass::backend {
 /// Says which elements a step evaluates, if tangents lag (matrix/lagged_tangents.h).
 class TangentLag {
  public:
-  /// What is kept no longer fits: values, cuts or the state are others. So the next step evaluates all elements.
+  /// Kept tensors no longer fit, because values, cuts or the state are others. So the next step evaluates all elements.
   void forget() { steps_ = 0; }
   template <class Real>
   void begin(const model::Model& m, const StepInput& input, view::StepControl<Real>& control) {

@@ -32,7 +32,7 @@ struct TriangleRows {
   const std::uint32_t* rows;
   const Real* weights;  // view::CarriedView::weights; not used of a triangle that no element carries
 
-  /// Of that triangle, too, `weights` can be read: in double precision nvcc 13 reads ahead of `carried`.
+  /// `weights` can be read of that triangle, too: in double precision nvcc 13 reads ahead of `carried`.
   TM_HOST_DEVICE TriangleRows(const view::ContactView<Real>& contact, std::uint32_t triangle)
       : carried(is_carried(contact, triangle)),
         rows(contact.triangle_rows + std::size_t{3} * triangle),

@@ -40,7 +40,7 @@ inline constexpr std::uint32_t kKeptReals = static_cast<std::uint32_t>(3 * (Shap
 template <class Lanes>
 inline constexpr std::uint32_t kPackOf = kReadsRecords<Lanes> ? kSliceRows : Lanes::kWidth;
 
-/// What is kept of the elements from `first` on.
+/// The kept reals of the elements from `first` on.
 template <class Lanes, class Shape>
 class KeptElements {
  public:

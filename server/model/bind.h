@@ -233,7 +233,7 @@ BoundScene<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& ex
   s.contact.carried.first = m.contact.outer_count();
   s.contact.carried.rows = arena.template constant<uint32_t>("carried triangles", carried.rows);
   s.contact.carried.weights = arena.template constant<Real>("weights of carried triangles", carried.weights);
-  // Of no triangle, but readable (contact::TriangleRows).
+  // Weights of no triangle, but readable (contact::TriangleRows).
   if (carried.weights.empty()) s.contact.carried.weights = s.state.rest;
   s.contact.carried.twins = arena.template constant<uint32_t>("twins of carried triangles", carried.twins);
   s.contact.carried.patch_triangles =

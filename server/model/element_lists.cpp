@@ -25,8 +25,9 @@ Result<matrix::GroupRowLists> list_elements_of_rows(const Settings& settings, co
                             "split the elements around it",
                             widest, matrix::own_place(16)));
   }
-  std::vector<matrix::ElementRows> rows, lagged;  // of the groups that are not constant, which are the first ones
-  std::vector<bool> lags;                         // [group] of these
+  // Groups that are not constant are the first ones.
+  std::vector<matrix::ElementRows> rows, lagged;
+  std::vector<bool> lags;  // [group]
   for (const ElementGroup& group : elements.groups) {
     if (group.is_constant) continue;
     lags.push_back(lags_of(settings, group));

@@ -14,6 +14,9 @@ namespace tensormass::model {
 namespace {
 
 v1::Body& body(v1::Scene& scene) { return *scene.mutable_bodies(0); }
+void lag(v1::Scene& scene, std::uint32_t steps, double strain) {
+  scene.mutable_solver()->set_tangent_lag_steps(steps), scene.mutable_solver()->set_tangent_lag_strain(strain);
+}
 v1::Grid& grid(v1::Scene& scene) { return *body(scene).mutable_mesh()->mutable_grid(); }
 v1::Tool& tool(v1::Scene& scene) { return *scene.mutable_tools(0); }
 v1::SphericalProbe& probe(v1::Scene& scene) { return *tool(scene).mutable_spherical_probe(); }
@@ -526,24 +529,12 @@ std::vector<Refusal> support_refusals() {
       {"NoNewtonIteration",
        [](auto& s) { s.mutable_solver()->set_newton_max_iterations(0); },
        {"scene.solver.newton_max_iterations"}},
-      {"NoLagStep",
-       [](auto& s) { s.mutable_solver()->set_tangent_lag_steps(0); },
-       {"scene.solver.tangent_lag_steps", "[1, 64]"}},
+      {"NoLagStep", [](auto& s) { lag(s, 0, 1); }, {"scene.solver.tangent_lag_steps", "[1, 64]"}},
+      {"NanLagStrain", [](auto& s) { lag(s, 8, kNan); }, {"scene.solver.tangent_lag_strain", "nan"}},
+      {"StrainWithoutLag", [](auto& s) { s.mutable_solver()->set_tangent_lag_strain(1); }, {"tangent_lag_steps"}},
       {"LagOfNewtonsMethod",
-       [](auto& s) {
-         s.mutable_solver()->set_tangent_lag_steps(8);
-         s.mutable_solver()->set_newton_max_iterations(2);
-       },
+       [](auto& s) { lag(s, 8, 1), s.mutable_solver()->set_newton_max_iterations(2); },
        {"scene.solver.tangent_lag_steps", "newton_max_iterations: 1"}},
-      {"NanLagStrain",
-       [](auto& s) {
-         s.mutable_solver()->set_tangent_lag_steps(8);
-         s.mutable_solver()->set_tangent_lag_strain(kNan);
-       },
-       {"scene.solver.tangent_lag_strain", "nan"}},
-      {"LagStrainWithoutALag",
-       [](auto& s) { s.mutable_solver()->set_tangent_lag_strain(0.02); },
-       {"scene.solver.tangent_lag_strain", "tangent_lag_steps"}},
       {"NanNewtonTolerance",
        [](auto& s) { s.mutable_solver()->set_newton_tolerance(kNan); },
        {"scene.solver.newton_tolerance"}},

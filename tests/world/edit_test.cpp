@@ -128,7 +128,7 @@ bool forms_clusters(const EditedBeam& of) {
 TEST_P(Editing, StepsAsASceneThatNeverHadTheElements) {
   int compared = 0;
   for (const EditedBeam& of : beams()) {
-    // Of two meshes, a lagged element of one may follow its tangent where that of the other is evaluated.
+    // A lagged element of one mesh may follow its tangent where that of the other mesh is evaluated.
     if (!of.double_precision || forms_clusters(of) || of.lag_steps > 1) continue;
     SCOPED_TRACE(testing::PrintToString(of));
     const bool quasi_static = of.integrator == v1::Solver::INTEGRATOR_QUASI_STATIC;

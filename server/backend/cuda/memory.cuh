@@ -122,6 +122,18 @@ class Pinned {
   T* data_ = nullptr;
 };
 
+/// Copies from or to page-locked memory. May return before the copy has ended.
+template <class T>
+void copy_to_device(T* to, const Pinned<T>& from, cudaStream_t stream, const char* what) {
+  if (from.size() == 0) return;
+  check(cudaMemcpyAsync(to, from.data(), from.bytes(), cudaMemcpyHostToDevice, stream), what);
+}
+template <class T>
+void copy_to_host(const Pinned<T>& to, const T* from, cudaStream_t stream) {
+  if (to.size() == 0) return;
+  check(cudaMemcpyAsync(to.data(), from, to.bytes(), cudaMemcpyDeviceToHost, stream), "results");
+}
+
 /// The inputs of a step, in host memory and in device memory. One copy brings them all.
 class StepInputs {
  public:

@@ -117,8 +117,8 @@ class CudaState : public SceneState {
     write_tools(model_, input, view_.contact.samples, tools_.host);
     write_prescribed(model_, input, prescribed_.host);
     if (load_factors_.write(model_, input, external_.data(), faces_.data())) {
-      upload_pinned(bound_.inputs.external, external_, "loads");
-      upload_pinned(bound_.inputs.faces, faces_, "loads");
+      copy_to_device(bound_.inputs.external, external_, stream(), "loads");
+      copy_to_device(bound_.inputs.faces, faces_, stream(), "loads");
     }
     *control_.host = checkpoint_.begin(model_, input);
     StepResult result;
@@ -222,7 +222,7 @@ class CudaState : public SceneState {
 
   void read_broken(std::span<std::uint8_t> broken) override {
     if (broken.empty()) return;
-    download_pinned(broken_, view_.links.broken);
+    copy_to_host(broken_, view_.links.broken, stream());
     wait("broken springs");
     copy_broken(std::span<const Real>(broken_.span()), broken);
   }
@@ -544,22 +544,11 @@ class CudaState : public SceneState {
       check(inputs_.upload(stream()), "inputs of the step");
     }
     if (phase == Phase::kEvaluate || phase == Phase::kBacktrack)
-      upload_pinned(bound_.inputs.newton, newton_, "Newton's control");
+      copy_to_device(bound_.inputs.newton, newton_, stream(), "Newton's control");
     for (const step::Stage& stage : stages_) {
       if (stage.info->phase == phase) launch_stage(stage);
     }
-    if (phase == Phase::kFrame) download_pinned(visible_, view_.surface.positions);
-  }
-
-  template <class T>
-  void upload_pinned(T* to, const Pinned<T>& from, const char* what) {
-    if (from.size() == 0) return;
-    check(cudaMemcpyAsync(to, from.data(), from.bytes(), cudaMemcpyHostToDevice, stream()), what);
-  }
-  template <class T>
-  void download_pinned(const Pinned<T>& to, const T* from) {
-    if (to.size() == 0) return;
-    check(cudaMemcpyAsync(to.data(), from, to.bytes(), cudaMemcpyDeviceToHost, stream()), "results");
+    if (phase == Phase::kFrame) copy_to_host(visible_, view_.surface.positions, stream());
   }
 
   const model::Model& model_;

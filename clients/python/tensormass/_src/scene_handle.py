@@ -119,9 +119,8 @@ class SceneHandle:
 
             scene.follow("probe", [((0, 0, z), None, ()) for z in np.linspace(0.08, 0.05, 60)])
 
-        The steps are those of `move_tool` and `step` in turns, to the last bit; only where tangents lag, the first one
-        evaluates all elements. They cost less, because only the last step of a call brings a frame, and elements are
-        checked as often as in a scene that runs by the clock.
+        The steps are those of `move_tool` and `step` in turns, to the last bit (where tangents lag, the first evaluates
+        all elements). They cost less: only the last one brings a frame, and elements are checked as by the clock.
 
         Args:
             poses: position [3] m at the end of each step, orientation w, x, y, z (None is the identity), and a value
