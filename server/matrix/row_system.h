@@ -99,7 +99,7 @@ class RowAssembly {
   /// overlap.
   struct Neighbour {
     std::uint32_t row;
-    Vec3<Real> ahead;     // stretch_ahead of that row
+    Vec3<Real> ahead;  // stretch_ahead of that row
     // Set only with constant or kept tensors:
     Vec3<Real> stretch;   // u_l − u_k
     Mat3<Real> constant;  // K_kl of linear laws, and that of lagged tangents

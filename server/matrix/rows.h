@@ -292,10 +292,9 @@ TM_HOST_DEVICE void assemble_row(const view::PatchesView& patches, const view::S
   }
 }
 
-/// Forms the rows of A and b in scenes with linear laws or lagged tangents, after all element passes. In other scenes the
-/// last group does it.
-/// Reads constant and kept tensors, displacement, velocity, base fields, external, and edges and rhs of begun rows; writes
-/// edges, diagonal, rhs, internal_force.
+/// Forms the rows of A and b in scenes with linear laws or lagged tangents, after all element passes. In other scenes
+/// the last group does it. Reads constant and kept tensors, displacement, velocity, base fields, external, and edges
+/// and rhs of begun rows; writes edges, diagonal, rhs, internal_force.
 template <class Team, class Real>
 TM_HOST_DEVICE void finish_rows(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                                 const view::MatrixView<Real>& matrix, const view::NewtonView<Real>& newton) {

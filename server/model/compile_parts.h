@@ -88,7 +88,8 @@ Result<GroupedElements> group_elements(const ReadBodies& bodies, std::span<const
                                        const matrix::Layout& layout);
 
 /// Storage::kRows, kTiles: lists the elements that each row evaluates, for the groups whose tensors change: to
-/// compute them, or to gather those that are kept. Empty with kEdges, where elements add to the matrix directly. Fails if a node has too many neighbours.
+/// compute them, or to gather those that are kept. Empty with kEdges, where elements add to the matrix directly. Fails
+/// if a node has too many neighbours.
 Result<matrix::GroupRowLists> list_elements_of_rows(const Settings& settings, const matrix::Layout& layout,
                                                     const GroupedElements& elements);
 

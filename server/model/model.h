@@ -480,9 +480,7 @@ struct Model : Settings {
   /// Returns whether some tensors change in each step, so that elements are evaluated.
   bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant; }
   /// Returns whether the elements of a group follow their last tangents (matrix/lagged_tangents.h).
-  bool lags(const ElementGroup& group) const {
-    return lags_of(*this, group);
-  }
+  bool lags(const ElementGroup& group) const { return lags_of(*this, group); }
   bool lags() const {
     return std::any_of(groups.begin(), groups.end(), [this](const ElementGroup& group) { return lags(group); });
   }

@@ -315,8 +315,8 @@ Result<void> Runner::Impl::swap_world(v1::SceneAdjustments wanted, model::SceneC
   TM_ASSIGN_OR_RETURN(compiled, compile_scene(adjusted(source->scene, wanted), source->options, {}, cuts));
   if (!wanted.attachments().attachments().empty()) {
     TM_ASSIGN_OR_RETURN(now, loop->read([&] { return loop->do_copy(); }));
-    TM_RETURN_IF_ERROR(state_rest_lengths(*present->model, now, *compiled.model,
-                                          *wanted.mutable_attachments(), new_attachments));
+    TM_RETURN_IF_ERROR(
+        state_rest_lengths(*present->model, now, *compiled.model, *wanted.mutable_attachments(), new_attachments));
     compiled.scene_hash = hash_of(adjusted(source->scene, wanted));
   }
   TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));

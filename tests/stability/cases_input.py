@@ -161,9 +161,11 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
 
 
 def burning_scene(engine: Engine) -> scene_pb2.Scene:
-    """A scene with what `whole_scene` cannot have beside its skin: editing, and a tool that burns."""
+    """A scene with what `whole_scene` cannot have beside its skin and Newton's method: editing, a tool that burns, and
+    lagged tangents."""
     mesh = box("hexahedron", (2, 1, 1), (CUBE_M,) * 3)
     scene = real_time(engine, Problem(mesh, tissue("hooke"), [clamped(mesh)]))
+    scene.solver.tangent_lag_steps, scene.solver.tangent_lag_strain = 8, 0.02
     scene.editing.SetInParent()
     tool = scene.tools.add(name="hook")
     tool.spherical_probe.radius_m = 0.01

@@ -345,8 +345,8 @@ class Scene:
             coarse_level: whether linear solves know the rigid motion of pieces of bodies, as stiff, slender ones need.
                 Without a value a scene has it once a solve takes more than 80 iterations. A GPU that streams the matrix
                 of a very large scene has none.
-            tangent_lag_steps: steps from one evaluation of an element to the next. In between its force follows its last
-                tangent. Not with Newton's method.
+            tangent_lag_steps: steps from one evaluation of an element to the next. In between its force follows its
+                last tangent. Not with Newton's method.
             tangent_lag_strain: change of a component of its deformation gradient that has an element evaluated at once.
 
         Raises:
