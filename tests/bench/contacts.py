@@ -9,11 +9,12 @@ the fused solve of the GPU.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import json
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from one_backend import print_rows
 
 import tensormass as tm
 from tensormass.v1 import scene_pb2
@@ -100,19 +101,13 @@ def _measure(server: tm.Server) -> dict[str, dict[str, float]]:
     }
 
 
+def _rows(server: tm.Server, _: str) -> Iterator[dict[str, Any]]:
+    for name, row in _measure(server).items():
+        yield {"case": f"contact: {name}", **row}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
-    parser.add_argument("--commit", default="", help="commit of the daemon, for the result")
-    args = parser.parse_args()
-    command = f"python tests/bench/contacts.py --backend {args.backend}"
-    with tm.launch(backend=args.backend, zenoh=False) as server:
-        said = server.version()
-        where = {"backend": said.backend, "device": said.device, "commit": args.commit, "command": command}
-        for name, row in _measure(server).items():
-            print(json.dumps({"case": f"contact: {name}", **row, **where}), flush=True)
+    print_rows(__file__, __doc__, _rows)
 
 
 if __name__ == "__main__":

@@ -10,12 +10,12 @@ With two hands each call makes one step, in both scenes.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
+
+from one_backend import print_rows
 
 import tensormass as tm
 from tensormass._src.demo import builtin_scenes
@@ -87,22 +87,16 @@ def _measure(server: tm.Server, name: str, backend: str) -> dict[str, Any]:
     return {**row, "warnings": warnings}
 
 
+def _rows(server: tm.Server, backend: str) -> Iterator[dict[str, Any]]:
+    for name in builtin_scenes():
+        if not scripts_of(name):
+            continue
+        yield _measure(server, name, backend)
+        print(f"{name}: done", file=sys.stderr)
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
-    parser.add_argument("--commit", default="", help="commit of the daemon, for the result")
-    args = parser.parse_args()
-    command = f"python tests/bench/instruments.py --backend {args.backend}"
-    with tm.launch(backend=args.backend, zenoh=False) as server:
-        said = server.version()
-        where = {"backend": said.backend, "device": said.device, "commit": args.commit, "command": command}
-        for name in builtin_scenes():
-            if not scripts_of(name):
-                continue
-            print(json.dumps({**_measure(server, name, args.backend), **where}), flush=True)
-            print(f"{name}: done", file=sys.stderr)
+    print_rows(__file__, __doc__, _rows)
 
 
 if __name__ == "__main__":

@@ -10,14 +10,14 @@ of what a lag changes at the ends of the turns, over those of the scene without 
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import json
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from one_backend import print_rows
 
 import tensormass as tm
 from tensormass._shared import defaults
@@ -87,21 +87,14 @@ def _measure(server: tm.Server, name: str, backend: str) -> dict[int, dict[str, 
     }
 
 
+def _rows(server: tm.Server, backend: str) -> Iterator[dict[str, Any]]:
+    for name in ("demo", "retract"):
+        for lag, row in _measure(server, name, backend).items():
+            yield {"case": f"lag: {name}, {lag}", "scene": name, "lag": lag, **row}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        allow_abbrev=False, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
-    parser.add_argument("--commit", default="", help="commit of the daemon, for the result")
-    args = parser.parse_args()
-    command = f"python tests/bench/lag.py --backend {args.backend}"
-    with tm.launch(backend=args.backend, zenoh=False) as server:
-        said = server.version()
-        where = {"backend": said.backend, "device": said.device, "commit": args.commit, "command": command}
-        for name in ("demo", "retract"):
-            for lag, row in _measure(server, name, args.backend).items():
-                of = {"case": f"lag: {name}, {lag}", "scene": name, "lag": lag}
-                print(json.dumps({**of, **row, **where}), flush=True)
+    print_rows(__file__, __doc__, _rows)
 
 
 if __name__ == "__main__":
