@@ -161,10 +161,10 @@ class Loop {
     LoopCopy state;
     GenerationPointer generation;
   };
-  /// Copies the state, for one that will be restored.
-  Result<SavedState> do_save();
   /// Copies the state for a reader, which leaves the run as it is.
   Result<World::Copied> do_copy();
+  /// Copies the state, for one that will be restored.
+  Result<SavedState> do_save();
   struct Kept : SavedState {
     bool paused = false;
     std::chrono::nanoseconds held{};  ///< time for which the loop could not step

@@ -85,16 +85,15 @@ Result<v1::ReplaySceneResponse> Loop::do_replay(std::span<const Replay::Step> st
   return response;
 }
 
-Result<Loop::SavedState> Loop::do_save() {
-  TM_RETURN_IF_ERROR(require_state());
-  SavedState out{{world_->copy(), next_diagnostics_}, generation()};
-  world_->evaluate_all_next();
-  return out;
-}
-
 Result<World::Copied> Loop::do_copy() {
   TM_RETURN_IF_ERROR(require_state());
   return world_->copy();
+}
+
+Result<Loop::SavedState> Loop::do_save() {
+  TM_ASSIGN_OR_RETURN(copy, do_copy());
+  world_->evaluate_all_next();
+  return SavedState{{std::move(copy), next_diagnostics_}, generation()};
 }
 
 Result<Loop::Kept> Loop::do_keep() {
